@@ -1,0 +1,1 @@
+"""The doors of loftscan: what a person types and what a script imports."""

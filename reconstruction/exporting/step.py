@@ -1,0 +1,221 @@
+"""STEP files (ISO 10303-21) of NURBS patches, in millimetres.
+
+Written by Open CASCADE; what it would put in by itself (statistics on stdout, the clock, its own
+name as the product's) is replaced, so that equal surfaces and an equal time stamp give equal files.
+STEP knows no periodic knots: a periodic direction is written clamped and marked closed, and Open
+CASCADE makes it periodic again when it reads.
+"""
+
+from __future__ import annotations
+
+import io
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+from reconstruction.exporting import provenance as origins
+from reconstruction.exporting.atomic import replacing
+from reconstruction.exporting.brep import (
+    faces_of,
+    require_open_cascade,
+    shells,
+    silence,
+    surface_of,
+)
+from reconstruction.nurbs.values import Surface
+
+# ISO 10303-21 ends a header string at 256 characters; encoded ones grow.
+_HEADER_WIDTH = 60
+
+
+def write_step(
+    path: Path | str,
+    surfaces: Sequence[Surface],
+    *,
+    name: str,
+    provenance: Mapping[str, object],
+    author: str = "",
+    organisation: str = "",
+    schema: Literal["AP214IS", "AP242DIS"] = "AP214IS",
+    time_stamp: str | None = None,
+    sew_within_mm: float = 1e-4,
+) -> None:
+    """Write the patches as faces of open shells.
+
+    Parameters
+    ----------
+    path
+        Final name; the file appears whole or not at all.
+    name
+        The product's name.
+    provenance
+        Goes to the header as one description line an entry.
+    time_stamp
+        ISO 8601; by default now, in UTC.
+    sew_within_mm
+        Borders of patches closer than this become one edge.
+
+    Raises
+    ------
+    MissingExtra
+        Open CASCADE is not installed.
+    ValueError
+        No patch, or one that Open CASCADE cannot represent.
+    OSError
+        The file cannot be written.
+    """
+    require_open_cascade()
+    if not surfaces:
+        raise ValueError(f"{path}: no patch to write")
+    with silence():
+        writer = _writer(schema)
+        shape, faces = shells(surfaces, sew_within_mm=sew_within_mm)
+        _transfer(writer, shape)
+        _name_faces(writer, faces)
+        model = writer.Model(False)  # noqa: FBT003 (not a new one)
+        _name_product(model, name)
+        _write_header(
+            model,
+            name=name,
+            author=author,
+            organisation=organisation,
+            description=tuple(_description(provenance)),
+            time_stamp=time_stamp or datetime.now(UTC).isoformat(timespec="seconds"),
+        )
+        text = io.BytesIO()
+        _expect_done(writer.WriteStream(text))
+    with replacing(path) as file:
+        file.write(text.getbuffer())
+
+
+def read_step(path: Path | str) -> tuple[Surface, ...]:
+    """Read every B-spline face of a STEP file, in millimetres, in the file's order (by shell).
+
+    Raises
+    ------
+    MissingExtra
+        Open CASCADE is not installed.
+    OSError
+        The file cannot be read.
+    ValueError
+        Not a STEP file.
+    """
+    require_open_cascade()
+    from OCP.IFSelect import IFSelect_ReturnStatus
+    from OCP.STEPControl import STEPControl_Reader
+
+    path = Path(path)
+    data = io.BytesIO(path.read_bytes())
+    with silence():
+        reader = STEPControl_Reader()
+        status = reader.ReadStream(path.name, data)
+        if status != IFSelect_ReturnStatus.IFSelect_RetDone:
+            raise ValueError(f"{path}: not a STEP file")
+        reader.TransferRoots()
+        return tuple(surface_of(made) for made in faces_of(reader.OneShape()))
+
+
+def _writer(schema: str) -> Any:  # noqa: ANN401
+    from OCP.Interface import Interface_Static
+    from OCP.STEPControl import STEPControl_Controller, STEPControl_Writer
+
+    # These settings are the process's, not the writer's: set anew for every file.
+    STEPControl_Controller.Init_s()
+    Interface_Static.SetCVal_s("write.step.schema", schema)
+    # One part: an assembly of shells would number its uses over the process's life.
+    Interface_Static.SetIVal_s("write.step.assembly", 0)
+    Interface_Static.SetCVal_s("xstep.cascade.unit", "MM")
+    Interface_Static.SetCVal_s("write.step.unit", "MM")
+    return STEPControl_Writer()
+
+
+def _transfer(writer: Any, shape: Any) -> None:  # noqa: ANN401
+    from OCP.STEPControl import STEPControl_AsIs
+
+    _expect_done(writer.Transfer(shape, STEPControl_AsIs))
+
+
+def _expect_done(status: Any) -> None:  # noqa: ANN401
+    from OCP.IFSelect import IFSelect_ReturnStatus
+
+    if status != IFSelect_ReturnStatus.IFSelect_RetDone:
+        raise ValueError(f"Open CASCADE cannot write these patches: {status}")
+
+
+def _name_faces(writer: Any, faces: Sequence[Any]) -> None:  # noqa: ANN401
+    """Call them by the patches' order: sewing groups them by shell."""
+    from OCP.STEPConstruct import STEPConstruct
+    from OCP.TopLoc import TopLoc_Location
+
+    finder = writer.WS().TransferWriter().FinderProcess()
+    for index, face in enumerate(faces):
+        entity = STEPConstruct.FindEntity_s(finder, face, TopLoc_Location())
+        entity.SetName(_text(f"patch {index}"))
+
+
+def _name_product(model: Any, name: str) -> None:  # noqa: ANN401
+    """Name the product; Open CASCADE would number products over the process's life."""
+    from OCP.StepBasic import StepBasic_Product
+
+    for index in range(1, model.NbEntities() + 1):
+        entity = model.Value(index)
+        if isinstance(entity, StepBasic_Product):
+            entity.SetId(_text(name))
+            entity.SetName(_text(name))
+
+
+def _write_header(
+    model: Any,  # noqa: ANN401
+    *,
+    name: str,
+    author: str,
+    organisation: str,
+    description: Sequence[str],
+    time_stamp: str,
+) -> None:
+    from OCP.APIHeaderSection import APIHeaderSection_MakeHeader
+    from OCP.Interface import Interface_HArray1OfHAsciiString
+
+    header = APIHeaderSection_MakeHeader(model)
+    header.SetName(_text(name))
+    header.SetAuthorValue(1, _text(author))
+    header.SetOrganizationValue(1, _text(organisation))
+    header.SetOriginatingSystem(_text("loftscan"))
+    header.SetAuthorisation(_text(""))
+    header.SetTimeStamp(_text(time_stamp))
+    lines = Interface_HArray1OfHAsciiString(1, len(description))
+    for index, line in enumerate(description, 1):
+        lines.SetValue(index, _text(line))
+    header.SetDescription(lines)
+
+
+def _description(provenance: Mapping[str, object]) -> Iterator[str]:
+    yield "loftscan NURBS surface, unit: mm"
+    for line in origins.lines(provenance):
+        yield from textwrap.wrap(line, _HEADER_WIDTH)
+
+
+def _text(text: str) -> Any:  # noqa: ANN401
+    from OCP.TCollection import TCollection_HAsciiString
+
+    return TCollection_HAsciiString(encoded(text))
+
+
+def encoded(text: str) -> str:
+    r"""Write a string as ISO 10303-21 does: ASCII, all else as ``\X2\hhhh\X0\`` in UTF-16.
+
+    Control characters become spaces. Open CASCADE itself doubles quotes and lone backslashes.
+    """
+    return "".join(_encoded(character) for character in text)
+
+
+def _encoded(character: str) -> str:
+    if " " <= character <= "~":
+        return character
+    if character < " " or character == "\x7f":
+        return " "
+    if character > "\uffff":
+        return f"\\X4\\{ord(character):08X}\\X0\\"
+    return f"\\X2\\{ord(character):04X}\\X0\\"

@@ -1,0 +1,104 @@
+"""Slices in, what is ready out: sections as they come, at last the whole reconstruction."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+
+from reconstruction.cleanup import Cleaned, CleanupSettings, clean
+from reconstruction.errors import NotLoftable
+from reconstruction.lofting import lay_rows, loft_run, split_runs
+from reconstruction.meshing import Mesh, mesh_rows
+from reconstruction.nurbs import Surface
+from reconstruction.paper import PaperSettings, draw_sections
+from reconstruction.sections import Residual, Section, Skipped
+from reconstruction.slices import Slice
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reconstruction:
+    """Everything that became of the slices."""
+
+    sections: tuple[Section, ...]
+    skipped: tuple[Skipped, ...]
+    patches: tuple[Surface, ...]  # one a run of equal count
+    runs: tuple[tuple[int, ...], ...]  # section indices of each run, runs without a patch too
+    mesh: Mesh  # closed, cleaned
+    cleaned: Cleaned  # what the cleanup did and found
+
+    @property
+    def residual(self) -> Residual:
+        """Of the unreduced points that the sections stand for."""
+        return reduce(Residual.plus, (section.residual for section in self.sections))
+
+    @property
+    def residual_all(self) -> Residual:
+        """Of all points of all sections, those left out too."""
+        return reduce(Residual.plus, (section.residual_all for section in self.sections))
+
+
+def reconstruct_paper(
+    slices: Iterable[Slice],
+    settings: PaperSettings,
+    cleanup: CleanupSettings,
+) -> Iterator[Section | Skipped | Reconstruction]:
+    """Run the paper's method over a stream of slices.
+
+    Yields
+    ------
+    Section, Skipped
+        One of the two for every slice, as soon as it is known.
+    Reconstruction
+        Once, at the end.
+
+    Raises
+    ------
+    NotLoftable
+        At the end, when fewer than two sections came out.
+    CleanupFailed, MissingExtra
+        From the mesh cleanup.
+    """
+    sections: list[Section] = []
+    skipped: list[Skipped] = []
+    for drawn in draw_sections(slices, settings):
+        if isinstance(drawn, Section):
+            sections.append(drawn)
+        else:
+            skipped.append(drawn)
+        yield drawn
+    if len(sections) < 2:
+        raise NotLoftable(_explain(sections, skipped), indices=tuple(s.index for s in sections))
+    yield loft(sections, skipped, settings, cleanup)
+
+
+def loft(
+    sections: list[Section],
+    skipped: list[Skipped],
+    settings: PaperSettings,
+    cleanup: CleanupSettings,
+) -> Reconstruction:
+    """Join sections by patches and pairs, mesh them, and clean the mesh."""
+    runs = split_runs(sections)
+    patches = [loft_run(run) for run in runs]
+    rows = lay_rows(runs, patches, intermediate=settings.intermediate)
+    axes = np.asarray(sections[0].frame.axes[:2])
+    cleaned = clean(mesh_rows(rows, axes), cleanup)
+    return Reconstruction(
+        sections=tuple(sections),
+        skipped=tuple(skipped),
+        patches=tuple(patch for patch in patches if patch is not None),
+        runs=tuple(tuple(section.index for section in run) for run in runs),
+        mesh=cleaned.mesh,
+        cleaned=cleaned,
+    )
+
+
+def _explain(sections: list[Section], skipped: list[Skipped]) -> str:
+    found = f"{len(sections)} of {len(sections) + len(skipped)} slices gave a section, two are needed"
+    if not skipped:
+        return f"{found}: choose a smaller --spacing-mm"
+    fullest = max(skipped, key=lambda each: each.points)
+    return f"{found}; slice {fullest.index}: {fullest.reason}. Try another --axis or --spacing-mm"

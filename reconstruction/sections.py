@@ -1,0 +1,113 @@
+"""A section: what one slice has become, and how well it stands for its points."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from reconstruction.arrays import BoolArray, FloatArray, IntArray, frozen
+from reconstruction.nurbs import Curve
+from reconstruction.ordering import Contour
+from reconstruction.resolution import Resolution
+from reconstruction.slices import Frame
+from reconstruction.thickness import Thickness
+
+_BINS = 101
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Residual:
+    """Signed distances of unreduced points to what represents them; sums, so that they add up."""
+
+    count: int
+    total_mm: float
+    squares_mm2: float
+    max_mm: float
+    edges_mm: FloatArray  # (b + 1,) the outer bins hold everything beyond
+    bins: IntArray  # (b,)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "edges_mm", frozen(self.edges_mm))
+        object.__setattr__(self, "bins", frozen(self.bins, np.int64))
+
+    @property
+    def rms_mm(self) -> float:
+        """Root mean square; nan without points."""
+        return math.sqrt(self.squares_mm2 / self.count) if self.count else math.nan
+
+    @property
+    def mean_mm(self) -> float:
+        """Mean signed distance, positive outside; nan without points."""
+        return self.total_mm / self.count if self.count else math.nan
+
+    def plus(self, other: Residual) -> Residual:
+        """Both together; their bins must be the same."""
+        if not np.array_equal(self.edges_mm, other.edges_mm):
+            raise ValueError("residuals with different bins do not add up")
+        return Residual(
+            self.count + other.count,
+            self.total_mm + other.total_mm,
+            self.squares_mm2 + other.squares_mm2,
+            max(self.max_mm, other.max_mm),
+            self.edges_mm,
+            self.bins + other.bins,
+        )
+
+
+def measure_residual(distances_mm: FloatArray, *, range_mm: float) -> Residual:
+    """Sum up signed distances (n,); the histogram spans -range to range in 101 bins."""
+    edges = np.linspace(-range_mm, range_mm, _BINS + 1)
+    inside = np.clip(distances_mm, -range_mm, range_mm)
+    bins, _ = np.histogram(inside, bins=edges)
+    return Residual(
+        count=len(distances_mm),
+        total_mm=float(distances_mm.sum()),
+        squares_mm2=float((distances_mm**2).sum()),
+        max_mm=float(np.abs(distances_mm).max(initial=0.0)),
+        edges_mm=edges,
+        bins=bins,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Section:
+    """One slice's contour as a closed NURBS curve, with its knot points and its residual."""
+
+    index: int
+    frame: Frame  # the plane of the section
+    points: int  # measured points of the slice
+    thickness: Thickness
+    resolution: Resolution
+    contour: Contour
+    curve: Curve  # periodic, 3D, in the part frame
+    knot_points_mm: FloatArray  # (n, 3) on the curve at its knots, counter-clockwise
+    synthetic: BoolArray  # (n,) knot points inside a bridged gap
+    gaps: tuple[tuple[float, float], ...]  # intervals of the curve's parameter that are synthetic
+    length_mm: float
+    gap_mm: float  # length of the curve inside gaps
+    base: bool  # this section set the count of control points
+    residual: Residual  # of the points that the curve stands for
+    residual_all: Residual  # of every point of the slice, those left out too
+    left_out_mm: FloatArray  # (k, 3) a bounded sample of points farther away than that
+    left_out: int  # how many those are
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "knot_points_mm", frozen(self.knot_points_mm))
+        object.__setattr__(self, "synthetic", frozen(self.synthetic, np.bool_))
+        object.__setattr__(self, "left_out_mm", frozen(self.left_out_mm))
+
+    @property
+    def height_mm(self) -> float:
+        """Position of the plane along its own normal."""
+        return float(self.frame.origin_mm @ self.frame.axes[2])
+
+
+@dataclass(frozen=True, slots=True)
+class Skipped:
+    """A slice that became no section, and why."""
+
+    index: int
+    points: int
+    reason: str

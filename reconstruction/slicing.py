@@ -1,0 +1,273 @@
+"""A cloud becomes a stream of slices, whatever its size.
+
+Three passes: `survey_cloud`, `find_part`, and the cut, which sorts every point into its slice's
+place in a pile. A small pile lies in memory; a large one lies in a temporary file, of which one
+slice at a time is read back, so that memory does not grow with the cloud.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import BinaryIO
+
+import numpy as np
+from numba import njit
+
+from reconstruction.arrays import FloatArray, IntArray, frozen
+from reconstruction.errors import TooFewPoints
+from reconstruction.reduction import Box
+from reconstruction.setting_aside import Aside, Keep, find_part
+from reconstruction.slices import Frame, Slice
+from reconstruction.survey import Axis, Pass, Spacing, Survey, choose_spacing, survey_cloud
+
+_IN_MEMORY = 4_000_000  # points, 96 MB
+_DRAWN = 30_000  # points of each reason kept for the picture
+_MOST_SLICES = 100_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cutting:
+    """What the cut did with every point of the cloud."""
+
+    survey: Survey
+    spacing: Spacing
+    axis: Axis
+    counts: IntArray  # (slices,), points in each
+    aside: dict[Aside, int]  # how many points were set aside, by reason
+    aside_mm: dict[Aside, FloatArray]  # some of them, to be drawn
+    box: Box  # of what was kept
+    pile: _Pile
+
+    def slices(self) -> Iterator[Slice]:
+        """The slices from the lowest up, empty ones too; may be called again."""
+        starts = np.concatenate([[0], np.cumsum(self.counts)])
+        for index, (start, stop) in enumerate(zip(starts[:-1], starts[1:], strict=True)):
+            yield Slice(index, self.pile.read(int(start), int(stop)), self.frame(index))
+
+    def frame(self, index: int) -> Frame:
+        """Frame of a slice: axes cyclic from the stacking axis, origin at its middle height."""
+        origin = np.zeros(3)
+        origin[self.axis.value] = self.spacing.middle_mm + index * self.spacing.step_mm
+        return Frame(origin, np.eye(3)[list(self.axis.planar)])
+
+
+def cut_cloud(
+    points: Pass, axis: Axis, *, spacing_mm: float | None = None, crop: Box | None = None
+) -> Cutting:
+    """Cut a cloud into slices perpendicular to `axis`.
+
+    Parameters
+    ----------
+    points : Pass
+        Yields the finite points of the cloud in mm, (k, 3) at a time; called four times.
+    axis : Axis
+        The stacking axis.
+    spacing_mm : float, optional
+        Distance between slices; by default found from the cloud (`choose_spacing`).
+    crop : Box, optional
+        Only points in this box are used.
+
+    Raises
+    ------
+    TooFewPoints
+        Where nothing is left to slice.
+    """
+    inside = points if crop is None else _cropped(points, crop)
+    survey = survey_cloud(inside, axis)
+    spacing = choose_spacing(survey, axis, given_mm=spacing_mm)
+    keep = find_part(inside, survey, axis)
+    spacing, levels = _number_levels(inside, keep, spacing, axis)
+    pile = _Pile(int(levels.sum()))
+    aside_mm = _sort_into_pile(points, pile, keep, spacing, axis, levels, crop)
+    box = pile.box
+    aside = {reason: count for reason, (count, _) in aside_mm.items()}
+    drawn = {reason: some for reason, (_, some) in aside_mm.items()}
+    return Cutting(survey, spacing, axis, frozen(levels, np.int64), aside, drawn, box, pile)
+
+
+def _cropped(points: Pass, crop: Box) -> Pass:
+    def passing() -> Iterator[FloatArray]:
+        for chunk in points():
+            kept = chunk[((chunk >= crop.low_mm) & (chunk <= crop.high_mm)).all(axis=1)]
+            if len(kept):
+                yield kept
+
+    return passing
+
+
+def _number_levels(
+    points: Pass, keep: Keep, spacing: Spacing, axis: Axis
+) -> tuple[Spacing, IntArray]:
+    """Count the part's points of each level; level 0 becomes the lowest one that holds any."""
+    low = keep.corner_mm[axis.value]
+    high = low + keep.edge_mm * keep.boxes.shape[axis.value]
+    first = math.floor((low - spacing.middle_mm) / spacing.step_mm)
+    levels = math.ceil((high - spacing.middle_mm) / spacing.step_mm) - first + 2
+    if levels > _MOST_SLICES:
+        raise TooFewPoints(
+            f"a spacing of {spacing.step_mm:g} mm makes {levels} slices, at most {_MOST_SLICES} "
+            "are possible: choose a larger --spacing-mm"
+        )
+    start = Spacing(spacing.step_mm, spacing.middle_mm + first * spacing.step_mm, spacing.rule)
+    counts = np.zeros(levels, dtype=np.int64)
+    for chunk in points():
+        places = _classify(np.ascontiguousarray(chunk), *_grid(keep), *_levels(start, axis), levels)
+        counts += np.bincount(places[places >= 0], minlength=levels)
+    occupied = np.flatnonzero(counts)
+    if len(occupied) == 0:
+        raise TooFewPoints("no cluster of 2 or more points is left: everything looks stray")
+    lowest = occupied[0]
+    middle = start.middle_mm + float(lowest) * spacing.step_mm
+    return Spacing(spacing.step_mm, middle, spacing.rule), counts[lowest : occupied[-1] + 1]
+
+
+def _grid(keep: Keep) -> tuple[FloatArray, float, object, float]:
+    return keep.corner_mm, keep.edge_mm, keep.boxes, keep.plate_top_mm
+
+
+def _levels(spacing: Spacing, axis: Axis) -> tuple[int, float, float]:
+    return axis.value, spacing.middle_mm - spacing.step_mm / 2.0, spacing.step_mm
+
+
+@njit(cache=True)
+def _classify(
+    points: FloatArray,
+    corner: FloatArray,
+    edge: float,
+    boxes: object,
+    plate_top: float,
+    column: int,
+    base: float,
+    step: float,
+    levels: int,
+) -> IntArray:
+    """The level of every point, or minus its reason for being set aside."""
+    places = np.empty(len(points), np.int64)
+    nx, ny, nz = boxes.shape  # type: ignore[attr-defined]
+    for n in range(len(points)):
+        height = points[n, column]
+        if height <= plate_top:
+            places[n] = -3
+            continue
+        i = math.floor((points[n, 0] - corner[0]) / edge)
+        j = math.floor((points[n, 1] - corner[1]) / edge)
+        k = math.floor((points[n, 2] - corner[2]) / edge)
+        known = 0 <= i < nx and 0 <= j < ny and 0 <= k < nz
+        level = math.floor((height - base) / step)
+        if known and boxes[int(i), int(j), int(k)] and 0 <= level < levels:  # type: ignore[index]
+            places[n] = int(level)
+        else:
+            places[n] = -2
+    return places
+
+
+def _sort_into_pile(
+    points: Pass,
+    pile: _Pile,
+    keep: Keep,
+    spacing: Spacing,
+    axis: Axis,
+    levels: IntArray,
+    crop: Box | None,
+) -> dict[Aside, tuple[int, FloatArray]]:
+    cursors = np.concatenate([[0], np.cumsum(levels)[:-1]])
+    aside = {reason: _Remembered() for reason in Aside}
+    for chunk in points():
+        if crop is not None:
+            outside = ~((chunk >= crop.low_mm) & (chunk <= crop.high_mm)).all(axis=1)
+            aside[Aside.CROPPED].add(chunk[outside])
+            chunk = chunk[~outside]  # noqa: PLW2901
+        places = _classify(
+            np.ascontiguousarray(chunk), *_grid(keep), *_levels(spacing, axis), len(levels)
+        )
+        for reason in (Aside.STRAY, Aside.PLATE):
+            aside[reason].add(chunk[places == -reason])
+        order, starts = _order_by_level(places, len(levels))
+        sorted_mm = chunk[order]
+        for level in np.flatnonzero(np.diff(starts)):
+            segment = sorted_mm[starts[level] : starts[level + 1]]
+            pile.write(int(cursors[level]), segment)
+            cursors[level] += len(segment)
+    return {reason: (some.count, some.points) for reason, some in aside.items()}
+
+
+@njit(cache=True)
+def _order_by_level(places: IntArray, levels: int) -> tuple[IntArray, IntArray]:
+    """Counting sort: indices of the kept points level by level, and where each level starts."""
+    starts = np.zeros(levels + 1, np.int64)
+    for place in places:
+        if place >= 0:
+            starts[place + 1] += 1
+    starts = np.cumsum(starts)
+    order = np.empty(starts[-1], np.int64)
+    cursors = starts[:-1].copy()
+    for n in range(len(places)):
+        place = places[n]
+        if place >= 0:
+            order[cursors[place]] = n
+            cursors[place] += 1
+    return order, starts
+
+
+@dataclass(slots=True)
+class _Remembered:
+    """How many points were set aside, and the first of them."""
+
+    count: int = 0
+    chunks: list[FloatArray] = field(default_factory=list)
+
+    def add(self, points: FloatArray) -> None:
+        room = _DRAWN - min(self.count, _DRAWN)
+        if room and len(points):
+            self.chunks.append(points[:room].copy())
+        self.count += len(points)
+
+    @property
+    def points(self) -> FloatArray:
+        return np.concatenate([np.empty((0, 3)), *self.chunks])
+
+
+class _Pile:
+    """Points sorted by slice, in memory or in a temporary file that vanishes with the pile."""
+
+    def __init__(self, points: int) -> None:
+        self._low = np.full(3, np.inf)
+        self._high = np.full(3, -np.inf)
+        self._memory: FloatArray | None = None
+        self._file: BinaryIO | None = None
+        if points <= _IN_MEMORY:
+            self._memory = np.empty((points, 3))
+        else:
+            # Unbuffered: each slice is one seek and one read or write anyway.
+            self._file = tempfile.TemporaryFile(prefix="loftscan-", buffering=0)  # noqa: SIM115
+
+    @property
+    def box(self) -> Box:
+        return Box(self._low, self._high)
+
+    def write(self, start: int, points: FloatArray) -> None:
+        self._low = np.minimum(self._low, points.min(axis=0))
+        self._high = np.maximum(self._high, points.max(axis=0))
+        if self._memory is not None:
+            self._memory[start : start + len(points)] = points
+        elif self._file is not None:
+            self._file.seek(24 * start)
+            _write_all(self._file, memoryview(np.ascontiguousarray(points)).cast("B"))
+
+    def read(self, start: int, stop: int) -> FloatArray:
+        if self._memory is not None:
+            return self._memory[start:stop]
+        assert self._file is not None
+        self._file.seek(24 * start)
+        points = np.empty((stop - start, 3))
+        if len(points):
+            self._file.readinto(memoryview(points).cast("B"))  # type: ignore[attr-defined]
+        return points
+
+
+def _write_all(file: BinaryIO, data: memoryview) -> None:
+    while data:
+        data = data[file.write(data) :]
