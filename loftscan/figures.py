@@ -73,7 +73,7 @@ def png(figure: Figure, *, dots_per_inch: float = 130) -> bytes:
     """Encode a figure as PNG bytes that depend on nothing but the figure."""
     stream = io.BytesIO()
     with mpl.rc_context(_STYLE):
-        options = {"optimize": True}
+        options = {"compress_level": 6}
         figure.savefig(stream, dpi=dots_per_inch, metadata={"Software": None}, pil_kwargs=options)
     return stream.getvalue()
 

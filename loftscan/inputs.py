@@ -120,7 +120,7 @@ def open_input(source: Path | str | ArrayLike, unit: Unit) -> Input:
 
 
 def _is_text(cloud: Cloud) -> bool:
-    return "ascii" in cloud.format or cloud.format in {"csv", "text", "xyz", "pts", "txt"}
+    return cloud.format in {"text", "csv"} or "ascii" in cloud.format
 
 
 _HEADER = 128

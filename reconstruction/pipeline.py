@@ -17,6 +17,8 @@ from reconstruction.paper import PaperSettings, draw_sections
 from reconstruction.sections import Residual, Section, Skipped
 from reconstruction.slices import Slice
 
+_GRAZING_SHARE = 0.25
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reconstruction:
@@ -69,9 +71,27 @@ def reconstruct_paper(
         else:
             skipped.append(drawn)
         yield drawn
+    sections, trimmed = trim_ends(sections)
+    skipped += trimmed
     if len(sections) < 2:
         raise NotLoftable(_explain(sections, skipped), indices=tuple(s.index for s in sections))
     yield loft(sections, skipped, settings, cleanup)
+
+
+def trim_ends(sections: list[Section]) -> tuple[list[Section], list[Skipped]]:
+    """Take away end sections that are mostly bridged: there the slice only grazed the part.
+
+    Between others such a section is worth having; at an end it would become the cap.
+    """
+    trimmed: list[Skipped] = []
+    kept = list(sections)
+    for end in (0, -1):
+        while len(kept) > 2 and kept[end].gap_mm > _GRAZING_SHARE * kept[end].length_mm:
+            section = kept.pop(end)
+            share = section.gap_mm / section.length_mm
+            reason = f"an end section, and synthetic over {share:.0%} of its length"
+            trimmed.append(Skipped(section.index, section.points, reason))
+    return kept, trimmed
 
 
 def loft(

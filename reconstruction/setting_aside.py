@@ -55,9 +55,9 @@ def find_part(points: Pass, survey: Survey, axis: Axis) -> Keep:
     counts, edge = _coarsen_until_connected(counts, edge)
     plate_top = _find_plate(counts, corner, edge, axis, survey)
     if math.isfinite(plate_top):
-        layers = np.arange(counts.shape[axis.value]) + 0.5
-        below = corner[axis.value] + layers * edge <= plate_top
-        counts = counts * ~np.expand_dims(below, tuple({0, 1, 2} - {axis.value}))
+        layers = np.arange(counts.shape[axis.column]) + 0.5
+        below = corner[axis.column] + layers * edge <= plate_top
+        counts = counts * ~np.expand_dims(below, tuple({0, 1, 2} - {axis.column}))
     return Keep(corner, edge, _large_clusters(counts), plate_top)
 
 
@@ -109,7 +109,7 @@ def _find_plate(
     counts: IntArray, corner: FloatArray, edge: float, axis: Axis, survey: Survey
 ) -> float:
     """Height of the plate's upper side, -inf if the part stands on none."""
-    stack = np.moveaxis(counts > 0, axis.value, 0)
+    stack = np.moveaxis(counts > 0, axis.column, 0)
     filled = stack.sum(axis=(1, 2))
     layers = np.flatnonzero(filled)
     if len(layers) < 8:
@@ -122,7 +122,7 @@ def _find_plate(
     wide = np.max([_extent(stack[k]) for k in above[2:]], axis=0)
     if (_extent(stack[thick]) < _PLATE_OVERHANG * wide).any():
         return -math.inf
-    return _upper_side(survey.sample_mm[:, axis.value], corner[axis.value] + thick * edge, edge)
+    return _upper_side(survey.sample_mm[:, axis.column], corner[axis.column] + thick * edge, edge)
 
 
 def _extent(layer: BoolArray) -> IntArray:

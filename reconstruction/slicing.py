@@ -50,7 +50,7 @@ class Cutting:
     def frame(self, index: int) -> Frame:
         """Frame of a slice: axes cyclic from the stacking axis, origin at its middle height."""
         origin = np.zeros(3)
-        origin[self.axis.value] = self.spacing.middle_mm + index * self.spacing.step_mm
+        origin[self.axis.column] = self.spacing.middle_mm + index * self.spacing.step_mm
         return Frame(origin, np.eye(3)[list(self.axis.planar)])
 
 
@@ -102,8 +102,8 @@ def _number_levels(
     points: Pass, keep: Keep, spacing: Spacing, axis: Axis
 ) -> tuple[Spacing, IntArray]:
     """Count the part's points of each level; level 0 becomes the lowest one that holds any."""
-    low = keep.corner_mm[axis.value]
-    high = low + keep.edge_mm * keep.boxes.shape[axis.value]
+    low = keep.corner_mm[axis.column]
+    high = low + keep.edge_mm * keep.boxes.shape[axis.column]
     first = math.floor((low - spacing.middle_mm) / spacing.step_mm)
     levels = math.ceil((high - spacing.middle_mm) / spacing.step_mm) - first + 2
     if levels > _MOST_SLICES:
@@ -129,7 +129,7 @@ def _grid(keep: Keep) -> tuple[FloatArray, float, object, float]:
 
 
 def _levels(spacing: Spacing, axis: Axis) -> tuple[int, float, float]:
-    return axis.value, spacing.middle_mm - spacing.step_mm / 2.0, spacing.step_mm
+    return axis.column, spacing.middle_mm - spacing.step_mm / 2.0, spacing.step_mm
 
 
 @njit(cache=True)

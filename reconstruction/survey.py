@@ -28,16 +28,21 @@ _ROWS_SHARE = 0.6  # of the steps must be regular
 
 
 class Axis(Enum):
-    """The stacking axis: slices are perpendicular to it. The value is its column."""
+    """The stacking axis: slices are perpendicular to it."""
 
-    X = 0
-    Y = 1
-    Z = 2
+    X = "x"
+    Y = "y"
+    Z = "z"
+
+    @property
+    def column(self) -> int:
+        """Which coordinate is the height: 0, 1 or 2."""
+        return "xyz".index(self.value)
 
     @property
     def planar(self) -> tuple[int, int, int]:
         """Columns of (plane x, plane y, height), cyclic so that the frame is right-handed."""
-        return ((self.value + 1) % 3, (self.value + 2) % 3, self.value)
+        return ((self.column + 1) % 3, (self.column + 2) % 3, self.column)
 
 
 class SpacingRule(Enum):
@@ -85,7 +90,7 @@ def survey_cloud(points: Pass, axis: Axis) -> Survey:
     row_step: float | None = None
     for chunk in points():
         if count == 0:
-            row_step = _row_step(chunk[:, axis.value])
+            row_step = _row_step(chunk[:, axis.column])
         count += len(chunk)
         box = bounding_box(chunk)
         lows.append(box.low_mm)
@@ -149,7 +154,7 @@ def choose_spacing(survey: Survey, axis: Axis, *, given_mm: float | None = None)
     of height; else 100 slices, or as many as leave 200 points to each, at least 5. Rows and levels
     are taken several at a time where they lie much closer together than the points within one.
     """
-    heights = survey.sample_mm[:, axis.value]
+    heights = survey.sample_mm[:, axis.column]
     extent = float(np.ptp(np.percentile(heights, [0.5, 99.5])))
     if given_mm is not None:
         return _in_step(given_mm, heights, SpacingRule.GIVEN)
@@ -162,7 +167,9 @@ def choose_spacing(survey: Survey, axis: Axis, *, given_mm: float | None = None)
         return _in_step(step, heights, SpacingRule.LEVELS)
     slices = min(_SLICES_WANTED, max(_LEAST_SLICES, survey.points // _POINTS_A_SLICE))
     step = extent / slices
-    return Spacing(step, float(heights.min()) + step / 2.0, SpacingRule.DENSITY)
+    # From the lowest point of all, if the sample nearly reached it: then it is no stray.
+    low, lowest = float(heights.min()), float(survey.box.low_mm[axis.column])
+    return Spacing(step, (lowest if low - lowest < step else low) + step / 2.0, SpacingRule.DENSITY)
 
 
 def _gather_rows(step_mm: float, survey: Survey, axis: Axis, extent_mm: float) -> float:

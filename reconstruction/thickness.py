@@ -13,9 +13,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from scipy.spatial import cKDTree
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.errors import TooFewPoints
 
 _WINDOWS = (8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)
@@ -67,7 +68,8 @@ def estimate_thickness(planar_mm: FloatArray, *, seed: int = 0) -> Thickness:
     # Shuffled, so that equal points do not unbalance the tree.
     tree = cKDTree(points)
     probes = points[rng.choice(len(points), min(_PROBES, len(points)), replace=False)]
-    windows = [k for k in _WINDOWS if k <= max(_WINDOWS[0], len(points) // 3)]
+    most = max(_WINDOWS[0], len(points) // 3)
+    windows = np.array([k for k in _WINDOWS if k <= most])
     distances, neighbours = tree.query(probes, k=windows[-1])
     parabolas = _fit_growing(points[neighbours], windows)
     sigma, curvature = np.median(parabolas, axis=0)
@@ -78,47 +80,59 @@ def estimate_thickness(planar_mm: FloatArray, *, seed: int = 0) -> Thickness:
     )
 
 
-def _fit_growing(hoods_mm: FloatArray, windows: list[int]) -> FloatArray:
-    """Sigma and curvature (q, 2) of neighbourhoods (q, k, 2) that grow until they are flat.
+@njit(cache=True)
+def _fit_growing(hoods: FloatArray, windows: IntArray) -> FloatArray:
+    """Sigma and curvature (q, 2) of neighbourhoods (q, k, 2), nearest first, grown until flat.
 
     Sigma comes from the first flat window, where the parabola fits best; the curvature from the
     last one, since its error falls with the square of the window's length.
     """
-    best = np.full((len(hoods_mm), 2), np.nan)
-    growing = np.arange(len(hoods_mm))
-    for window in windows:
-        sigma, curvature, flatness = _fit_parabolas(hoods_mm[growing, :window])
-        fresh = np.isnan(best[growing, 0])
-        flat = flatness < _FLAT
-        takes = flat | fresh
-        best[growing[takes], 1] = curvature[takes]
-        noted = fresh & (flat | (window == windows[-1]))
-        best[growing[noted], 0] = sigma[noted]
-        growing = growing[flat | np.isnan(best[growing, 0])]
-        if len(growing) == 0:
-            break
-    return best
+    found = np.empty((len(hoods), 2))
+    for q in range(len(hoods)):
+        noted = False
+        for window in windows:
+            sigma, curvature, flatness = _fit_parabola(hoods[q, :window])
+            flat = flatness < _FLAT
+            if noted and not flat:
+                break
+            if flat and not noted:
+                found[q, 0], noted = sigma, True
+            found[q, 1] = curvature
+        if not noted:
+            found[q, 0] = sigma
+    return found
 
 
-def _fit_parabolas(hoods_mm: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    centred = hoods_mm - hoods_mm.mean(axis=1, keepdims=True)
-    covariance = np.einsum("qki,qkj->qij", centred, centred) / hoods_mm.shape[1]
-    variances, axes = np.linalg.eigh(covariance)
-    along = np.einsum("qki,qi->qk", centred, axes[:, :, 1])
-    across = np.einsum("qki,qi->qk", centred, axes[:, :, 0])
-    # Scaled to unit length so that the normal equations stay well conditioned.
-    length = np.sqrt(np.maximum(variances[:, 1], np.finfo(float).tiny))
-    s = along / length[:, None]
-    design = np.stack([np.ones_like(s), s, s * s], axis=2)
-    normal = np.einsum("qki,qkj->qij", design, design)
-    right = np.einsum("qki,qk->qi", design, across)
-    ridge = 1e-9 * np.eye(3)
-    coefficients = np.linalg.solve(normal + ridge, right[..., None])[..., 0]
-    residual = across - np.einsum("qki,qi->qk", design, coefficients)
-    freedom = hoods_mm.shape[1] - 3
+@njit(cache=True)
+def _fit_parabola(hood: FloatArray) -> tuple[float, float, float]:
+    """Sigma, curvature and flatness of one window (k, 2)."""
+    count = len(hood)
+    mean_x, mean_y = hood[:, 0].mean(), hood[:, 1].mean()
+    xx = xy = yy = 0.0
+    for n in range(count):
+        x, y = hood[n, 0] - mean_x, hood[n, 1] - mean_y
+        xx, xy, yy = xx + x * x, xy + x * y, yy + y * y
+    tilt = 0.5 * math.atan2(2.0 * xy, xx - yy)
+    cosine, sine = math.cos(tilt), math.sin(tilt)
+    swing = math.hypot(0.5 * (xx - yy), xy)
+    longer, shorter = (0.5 * (xx + yy) + swing) / count, (0.5 * (xx + yy) - swing) / count
+    if longer <= 0.0:
+        return 0.0, 0.0, 1.0
+    # Scaled to unit variance, so that the sums of powers below stay near one.
+    length = math.sqrt(longer)
+    s3 = s4 = d0 = d1 = d2 = dd = 0.0
+    for n in range(count):
+        x, y = hood[n, 0] - mean_x, hood[n, 1] - mean_y
+        s, d = (cosine * x + sine * y) / length, cosine * y - sine * x
+        square = s * s
+        s3, s4 = s3 + square * s, s4 + square * square
+        d0, d1, d2, dd = d0 + d, d1 + d * s, d2 + d * square, dd + d * d
+    # Means: <1> = 1, <s> = 0, <s2> = 1 by construction; orthogonal basis 1, s, s2 - <s3> s - 1.
+    s3, s4, d0, d1, d2, dd = s3 / count, s4 / count, d0 / count, d1 / count, d2 / count, dd / count
+    norm = s4 - s3 * s3 - 1.0
+    bend = (d2 - s3 * d1 - d0) / norm if norm > 1e-9 else 0.0
+    left = max(0.0, dd - d0 * d0 - d1 * d1 - bend * bend * norm) * count
+    freedom = count - 3
     # The median of chi squared, not its mean, because the caller takes the median over probes.
     typical = freedom * (1.0 - 2.0 / (9.0 * freedom)) ** 3
-    sigma = np.sqrt((residual**2).sum(axis=1) / typical)
-    curvature = 2.0 * np.abs(coefficients[:, 2]) / length**2
-    flatness = variances[:, 0] / np.maximum(variances[:, 1], np.finfo(float).tiny)
-    return sigma, curvature, flatness
+    return math.sqrt(left / typical), 2.0 * abs(bend) / longer, max(0.0, shorter) / longer

@@ -53,7 +53,7 @@ def parse_header(head: bytes) -> NpyHeader:
         raise Damaged(f"its values are {shortened(name or descr[0])}; save real numbers, (n, 3)")
     sizes = [part.strip() for part in shape[1].split(b",") if part.strip()]
     if len(sizes) != 2 or any(not size.isdigit() or len(size) > 18 for size in sizes):
-        raise Damaged(f"its shape is ({shape[1].decode('ascii')}); save an array (n, 3)")
+        raise Damaged(f"its shape is {shortened(shape[1])}; save an array (n, 3)")
     rows, columns = (int(size) for size in sizes)
     if columns < 3:
         raise Damaged(f"it has {columns} columns; x, y and z are needed, save an array (n, 3)")

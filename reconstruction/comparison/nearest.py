@@ -154,11 +154,26 @@ def _descend(
                 stack[waiting], bounds[waiting] = child, squared
                 waiting += 1
                 continue
-            for item in range(-(child + 1), counts[node, side] - (child + 1)):
-                tried = _squared_distance(p, items, item, best_squared)
-                if tried < best_squared:
-                    best, best_squared = item, tried
+            start, stop = -(child + 1), counts[node, side] - (child + 1)
+            best, best_squared = _try_leaf(p, items, start, stop, best, best_squared)
     return best
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _try_leaf(
+    p: tuple[float, float, float],
+    items: FloatArray,
+    start: int,
+    stop: int,
+    best: int,
+    best_squared: float,
+) -> tuple[int, float]:
+    """Keep the nearest of the best so far and the items of a leaf."""
+    for item in range(start, stop):
+        tried = _squared_distance(p, items, item, best_squared)
+        if tried < best_squared:
+            best, best_squared = item, tried
+    return best, best_squared
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

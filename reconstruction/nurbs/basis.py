@@ -2,7 +2,8 @@
 
 The paper's eqs. 2 and 3, but only the p + 1 functions that are not zero at a parameter, in the
 order of *The NURBS Book* (Piegl and Tiller, 2nd ed., 1997), algorithms A2.1 to A2.3. Knots of a
-periodic direction are given as stored, n + 2p + 1 of them (`reconstruction.nurbs.values`).
+periodic direction are given as stored, n + 2p + 1 of them (`reconstruction.nurbs.values`). They
+reach the kernels read-only always: for numba a writable array is another type, compiled once more.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reconstruction.arrays import FloatArray, IntArray
+from reconstruction.arrays import FloatArray, IntArray, frozen
 from reconstruction.nurbs import kernels
 
 
@@ -32,7 +33,7 @@ def in_domain(u: ArrayLike, degree: int, knots: FloatArray, *, periodic: bool) -
     ValueError
         A parameter is not finite, or lies outside the domain of an open direction.
     """
-    values: FloatArray = np.atleast_1d(np.asarray(u, dtype=np.float64))
+    values: FloatArray = np.ascontiguousarray(u, dtype=np.float64)  # a scalar becomes (1,)
     start, end = domain_of(degree, knots)
     if values.ndim != 1:
         raise ValueError(f"parameters must be a scalar or of shape (m,), got {values.shape}")
@@ -61,7 +62,7 @@ def find_spans(u: FloatArray, degree: int, knots: FloatArray) -> IntArray:
 
     The domain's end belongs to the last span that has a length. Parameters must lie in the domain.
     """
-    spans: IntArray = kernels.spans_of(u, knots, degree, len(knots) - degree - 2)
+    spans: IntArray = kernels.spans_of(u, frozen(knots), degree, len(knots) - degree - 2)
     return spans
 
 
@@ -82,7 +83,7 @@ def basis_functions(
     """
     inside = in_domain(u, degree, knots, periodic=periodic)
     spans = find_spans(inside, degree, knots)
-    values, _ = kernels.basis_rows(inside, spans, knots, degree)
+    values, _ = kernels.basis_rows(inside, spans, frozen(knots), degree)
     return spans, values
 
 
@@ -99,5 +100,5 @@ def basis_derivatives(
         raise ValueError(f"a derivative has an order of 0 or more, not {order}")
     inside = in_domain(u, degree, knots, periodic=periodic)
     spans = find_spans(inside, degree, knots)
-    rows = kernels.basis_derivative_rows(inside, spans, knots, degree, order)
+    rows = kernels.basis_derivative_rows(inside, spans, frozen(knots), degree, order)
     return spans, np.ascontiguousarray(np.moveaxis(rows, 2, 0))

@@ -33,7 +33,9 @@ def wrapped(coefficients: FloatArray, degree: int, *, periodic: bool) -> FloatAr
 
 
 def evaluate_curve(curve: Curve, u: ArrayLike) -> FloatArray:
-    """Points (m, d) in mm at parameters (m,); at the ends of a clamped curve they are exact.
+    """Points (m, d) in mm at parameters (m,).
+
+    A clamped curve ends exactly on its control points (to one rounding where its weights differ).
 
     Raises
     ------

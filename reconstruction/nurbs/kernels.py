@@ -49,7 +49,7 @@ def span_of(u: float, knots: FloatArray, degree: int, starts: IntArray, scale: f
         span += 1
     while (u < knots[span] or knots[span] >= knots[span + 1]) and span > degree:
         span -= 1
-    return span
+    return int(span)
 
 
 @njit(cache=True)
@@ -280,8 +280,9 @@ def row_into(
     for j in range(net.shape[1]):
         s = (0.0, 0.0, 0.0, 0.0)
         for i in range(len(unroll)):
-            point = net[first + i, j, 0], net[first + i, j, 1], net[first + i, j, 2]
-            s = added(s, factors[i], (point[0], point[1], point[2], net[first + i, j, 3]))
+            k = first + i
+            point = (net[k, j, 0], net[k, j, 1], net[k, j, 2], net[k, j, 3])
+            s = added(s, factors[i], point)
         row[j, 0], row[j, 1], row[j, 2], row[j, 3] = s
 
 
@@ -344,8 +345,9 @@ def grid_normals(
     points: FloatArray,
     normals: FloatArray,
     least: float,
-) -> None:
-    """Points and unit normals of a grid, (mu, mv, 3) each, with no array of derivatives between."""
+) -> int:
+    """Points and unit normals of a grid, (mu, mv, 3) each; returns how many have no normal."""
+    missing = 0
     row, slope = np.empty((net.shape[1], 4)), np.empty((net.shape[1], 4))
     for a in range(len(first_u)):
         row_into(net, first_u[a], basis_u[0][a], unroll_u, row)
@@ -359,6 +361,8 @@ def grid_normals(
             points[a, b, 0], points[a, b, 1], points[a, b, 2] = point
             normal = unit_normal(du, dv, least)
             normals[a, b, 0], normals[a, b, 1], normals[a, b, 2] = normal
+            missing += normal == (0.0, 0.0, 0.0)
+    return missing
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
@@ -417,8 +421,9 @@ def scattered_normals(
     points: FloatArray,
     normals: FloatArray,
     least: float,
-) -> None:
-    """Points and unit normals at scattered parameters, (m, 3) each; no temporaries a point."""
+) -> int:
+    """Points and unit normals at scattered parameters; returns how many have no normal."""
+    missing = 0
     p, q = len(unroll_u) - 1, len(unroll_v) - 1
     starts_u, scale_u = span_starts(knots_u, p, net.shape[0] - 1)
     starts_v, scale_v = span_starts(knots_v, q, net.shape[1] - 1)
@@ -437,4 +442,7 @@ def scattered_normals(
             s, su, sv = added(s, bu[r], along), added(su, du[r], along), added(sv, bu[r], across)
         point, tangent_u, tangent_v = projected_frame(s, su, sv)
         points[m, 0], points[m, 1], points[m, 2] = point
-        normals[m, 0], normals[m, 1], normals[m, 2] = unit_normal(tangent_u, tangent_v, least)
+        normal = unit_normal(tangent_u, tangent_v, least)
+        normals[m, 0], normals[m, 1], normals[m, 2] = normal
+        missing += normal == (0.0, 0.0, 0.0)
+    return missing

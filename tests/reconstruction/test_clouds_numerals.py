@@ -55,6 +55,9 @@ def test_a_number_halfway_between_two_doubles_is_never_guessed_wrong() -> None:
                 value, known = kernel_number(text)
                 assert not known or same_bits(value, float(text)), text
                 known_ones += known
+        half = f"{mantissa}.5"  # a tie again, by division this time
+        value, known = kernel_number(half)
+        assert not known or same_bits(value, float(half)), half
     assert known_ones > 10_000
 
 

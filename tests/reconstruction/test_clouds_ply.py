@@ -65,7 +65,9 @@ def all_points(chunks: list[Chunk]) -> np.ndarray:
 
 
 scalar_types = st.sampled_from(list(NAMES))
-list_types = st.builds("{}:{}".format, st.sampled_from(["u1", "i1", "u2", "i4", "u4"]), scalar_types)
+list_types = st.builds(
+    "{}:{}".format, st.sampled_from(["u1", "i1", "u2", "i4", "u4"]), scalar_types
+)
 
 
 @st.composite
@@ -138,7 +140,9 @@ def test_records_with_lists_are_read_across_blocks(folder: Path, encoding: str) 
     path = folder / "lists.ply"
     path.write_bytes(ply_bytes([faces, vertex], encoding))
     assert path.stat().st_size > 4 << 20
-    np.testing.assert_array_equal(all_points(list(open_cloud(path).chunks(1000))), np.transpose(xyz))
+    np.testing.assert_array_equal(
+        all_points(list(open_cloud(path).chunks(1000))), np.transpose(xyz)
+    )
 
 
 def simple_vertices(count: int) -> Written:
@@ -172,7 +176,9 @@ def test_a_truncated_ascii_file_says_how_many_points_are_there(folder: Path) -> 
 def test_truncated_lists_before_and_in_the_vertices_are_told_apart(folder: Path) -> None:
     faces = Written("face", ["u1:i4"], {"ids": [[1, 2, 3]] * 4})
     vertex = Written(
-        "vertex", ["f4", "f4", "f4", "u1:i4"], {"x": [1, 2], "y": [1, 2], "z": [1, 2], "l": [[], [5]]}
+        "vertex",
+        ["f4", "f4", "f4", "u1:i4"],
+        {"x": [1, 2], "y": [1, 2], "z": [1, 2], "l": [[], [5]]},
     )
     data = ply_bytes([vertex], "binary_big_endian")
     assert "promises 2 points, 1 are there" in complaint(folder / "a.ply", data[:-1])
@@ -181,7 +187,9 @@ def test_truncated_lists_before_and_in_the_vertices_are_told_apart(folder: Path)
 
 
 def test_a_negative_list_length_is_damage(folder: Path) -> None:
-    vertex = Written("vertex", ["f4", "f4", "f4", "i1:i4"], {"x": [1], "y": [1], "z": [1], "l": [[]]})
+    vertex = Written(
+        "vertex", ["f4", "f4", "f4", "i1:i4"], {"x": [1], "y": [1], "z": [1], "l": [[]]}
+    )
     data = ply_bytes([vertex], "binary_little_endian")
     assert "negative length" in complaint(folder / "a.ply", data[:-1] + b"\xff")
 

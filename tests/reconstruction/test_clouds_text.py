@@ -43,9 +43,9 @@ numerals = st.one_of(
 
 @st.composite
 def texts(draw: st.DrawFn) -> tuple[str, list[list[float]], str]:
-    extension, delimiter = draw(st.sampled_from([
-        (".xyz", " "), (".txt", "\t"), (".pts", "  "), (".csv", ","), (".csv", ";"), (".txt", " , "),
-    ]))  # fmt: skip
+    dialects = {".xyz": [" "], ".txt": ["\t", " , "], ".pts": ["  "], ".csv": [",", ";"]}
+    extension = draw(st.sampled_from(list(dialects)))
+    delimiter = draw(st.sampled_from(dialects[extension]))
     newline = draw(st.sampled_from(["\n", "\r\n", " \n", "\n\n", "\n# note 1 2 3\n", "\n //\n"]))
     width = draw(st.integers(3, 6))
     row = st.lists(numerals, min_size=width, max_size=width)

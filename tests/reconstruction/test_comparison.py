@@ -96,10 +96,10 @@ def test_the_tree_finds_what_trying_every_triangle_finds(seed, count, squash) ->
 
 
 def test_needles_of_an_end_cap_are_as_exact_as_any_face() -> None:
-    mesh = lathe(700, 3)
+    mesh = lathe(250, 2)
     random = np.random.default_rng(5)
-    points = random.uniform(-50, 70, (60, 3))
-    points[:30, 2] = random.normal(0, 0.2, 30)  # near the lower fan
+    points = random.uniform(-50, 70, (12, 3))
+    points[:6, 2] = random.normal(0, 0.2, 6)  # near the lower fan
     found = np.abs(measure(points, reference(mesh)).distances_mm)
     corners = mesh.vertices_mm[mesh.faces]
     expected = [naive_distance(point, corners) for point in points]

@@ -1,0 +1,288 @@
+"""What a person types: ``loftscan COMMAND``.
+
+Exit codes: 0 done; 1 the work failed; 2 bad usage or bad input; 3 stopped by the operator. Every
+message is one line that says what and what to do; a traceback needs ``--debug``.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import sys
+from collections.abc import Callable
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import typer
+
+if TYPE_CHECKING:
+    from loftscan.progress import Progress
+    from loftscan.reconstructing import Settings
+    from loftscan.result import Result
+
+Choice = TypeVar("Choice", bound=Enum)
+
+app = typer.Typer(
+    help="Turn the slices of a scanning station into one watertight NURBS surface.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Out = Annotated[Path, typer.Option(help="Folder for the result; it must not exist yet.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an older result in --out.")]
+JsonLines = Annotated[bool, typer.Option("--json", help="Print machine-readable lines.")]
+Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
+Tolerance = Annotated[float | None, typer.Option(help="Judge the points by this distance.")]
+UnitName = Annotated[str, typer.Option(help="Unit of the input: mm, cm, m, um or inch.")]
+Formats = Annotated[
+    str | None, typer.Option(help="Files to write, of step,3dm,stl,ply,glb; by default all.")
+]
+
+
+@app.command()
+def reconstruct(
+    source: Annotated[
+        Path, typer.Argument(metavar="INPUT", help="A cloud: .ply .pcd .xyz .pts .txt .csv .npy")
+    ],
+    out: Out,
+    method: Annotated[str, typer.Option(help="How sections are made: paper.")] = "paper",
+    axis: Annotated[str, typer.Option(help="Stacking axis: x, y or z.")] = "z",
+    unit: UnitName = "mm",
+    spacing_mm: Annotated[
+        float | None, typer.Option(help="Distance between slices; by default found.")
+    ] = None,
+    resolution_mm: Annotated[
+        float | None, typer.Option(help="Side of a cell; by default the paper's rule.")
+    ] = None,
+    tolerance_mm: Tolerance = None,
+    crop: Annotated[
+        str | None, typer.Option(help="Use only this box, in mm: xmin,xmax,ymin,ymax,zmin,zmax.")
+    ] = None,
+    intermediate: Annotated[int, typer.Option(help="Mesh rows between two sections.")] = 0,
+    remesh_mm: Annotated[float | None, typer.Option(help="Remesh to this edge length.")] = None,
+    decimate_faces: Annotated[
+        int | None, typer.Option(help="Decimate the mesh to so many faces.")
+    ] = None,
+    formats: Formats = None,
+    overwrite: Overwrite = False,
+    json_lines: JsonLines = False,
+    debug: Debug = False,
+) -> None:
+    """Turn a point cloud into a watertight mesh, NURBS patches and a report."""
+
+    def work() -> None:
+        from loftscan.progress import bars
+        from loftscan.reconstructing import reconstruct_with
+        from loftscan.result import check_output, choose_formats
+
+        settings = _settings(
+            method, axis, unit, spacing_mm, resolution_mm, tolerance_mm, crop, intermediate,
+            remesh_mm, decimate_faces,
+        )  # fmt: skip
+        # Refused before the work, not after it.
+        wanted = choose_formats(formats.split(",") if formats is not None else None)
+        check_output(out, overwrite=overwrite)
+        with bars(json_lines=json_lines) as progress:
+            result = reconstruct_with(source, settings, progress=progress)
+            _save(result, out, wanted, progress, overwrite=overwrite)
+        _tell(result, out, json_lines=json_lines)
+
+    _run(work, debug=debug)
+
+
+@app.command()
+def compare(
+    a: Annotated[Path, typer.Argument(metavar="A", help="A cloud, a mesh or a result folder.")],
+    b: Annotated[Path, typer.Argument(metavar="B", help="The reference, the same.")],
+    out: Out,
+    align: Annotated[str, typer.Option(help="none or best-fit.")] = "none",
+    tolerance_mm: Tolerance = None,
+    unit: UnitName = "mm",
+    overwrite: Overwrite = False,
+    json_lines: JsonLines = False,
+    debug: Debug = False,
+) -> None:
+    """Measure how far A lies from B: deviation map, statistics, verdict (exit 1 if out)."""
+
+    def work() -> None:
+        from loftscan.comparing import compare_things
+        from loftscan.inputs import Unit
+        from loftscan.result import check_output
+        from reconstruction.comparison import Align
+
+        check_output(out, overwrite=overwrite, marks=("comparison.json", "deviation.ply"))
+        found = compare_things(
+            a, b,
+            align=_choice(Align, align, "--align"),
+            tolerance_mm=tolerance_mm,
+            unit=_choice(Unit, unit, "--unit"),
+        )  # fmt: skip
+        found.save(out, overwrite=overwrite)
+        numbers, verdict = found.deviation.statistics, found.deviation.verdict
+        if json_lines:
+            print(json.dumps({"event": "done", "out": str(out), **found.metrics}))
+        else:
+            print(
+                f"{found.measured.name} against {found.reference.name}: rms {numbers.rms_mm:.4g} mm, "
+                f"mean {numbers.mean_mm:+.4g} mm, 95 % within {numbers.absolute_95_mm:.4g} mm, "
+                f"{numbers.count} points"
+            )
+            print(f"report: {out / 'report.html'}")
+        if verdict is not None and not verdict.within:
+            _fail(1, f"out of tolerance: {verdict.share_within:.2%} within {tolerance_mm:g} mm")
+
+    _run(work, debug=debug)
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the result.")] = Path("demo-out"),
+    seed: Annotated[int, typer.Option(help="Of the noise.")] = 20,
+    overwrite: Overwrite = False,
+    json_lines: JsonLines = False,
+    debug: Debug = False,
+) -> None:
+    """Reconstruct a noisy, gappy vase that the program makes itself, and say where to look."""
+
+    def work() -> None:
+        from loftscan.demo import make_cloud
+        from loftscan.progress import bars
+        from loftscan.reconstructing import Settings, reconstruct_with
+        from loftscan.result import check_output, choose_formats
+
+        check_output(out, overwrite=overwrite)
+        with bars(json_lines=json_lines) as progress:
+            result = reconstruct_with(make_cloud(seed), Settings(), progress=progress, name="vase")
+            _save(result, out, choose_formats(None), progress, overwrite=overwrite)
+        _tell(result, out, json_lines=json_lines)
+
+    _run(work, debug=debug)
+
+
+def _settings(
+    method: str,
+    axis: str,
+    unit: str,
+    spacing_mm: float | None,
+    resolution_mm: float | None,
+    tolerance_mm: float | None,
+    crop: str | None,
+    intermediate: int,
+    remesh_mm: float | None,
+    decimate_faces: int | None,
+) -> Settings:
+    from loftscan.inputs import Unit, parse_crop
+    from loftscan.reconstructing import Method, Settings
+    from reconstruction.cleanup import CleanupSettings
+    from reconstruction.survey import Axis
+
+    return Settings(
+        method=_choice(Method, method, "--method"),
+        axis=_choice(Axis, axis, "--axis"),
+        unit=_choice(Unit, unit, "--unit"),
+        spacing_mm=spacing_mm,
+        resolution_mm=resolution_mm,
+        tolerance_mm=tolerance_mm,
+        crop=None if crop is None else parse_crop(crop),
+        intermediate=intermediate,
+        cleanup=CleanupSettings(remesh_edge_mm=remesh_mm, decimate_to_faces=decimate_faces),
+    )
+
+
+def _choice(names: type[Choice], wanted: str, option: str) -> Choice:
+    """Find the member of an enumeration by its value, which is what a person types."""
+    try:
+        return names(wanted.lower())
+    except ValueError as unknown:
+        known = ", ".join(str(member.value) for member in names)
+        raise ValueError(f"{option} {wanted!r}: one of {known} expected") from unknown
+
+
+def _save(
+    result: Result, out: Path, formats: tuple[str, ...], progress: Progress, *, overwrite: bool
+) -> None:
+    progress("saving", 0, 1)
+    result.save(out, formats=formats, overwrite=overwrite)
+    progress("saving", 1, 1)
+
+
+def _tell(result: Result, out: Path, *, json_lines: bool) -> None:
+    """Say what came out, in a few lines or in one JSON object."""
+    numbers = result.metrics
+    if json_lines:
+        done = {"event": "done", "out": str(out), "warnings": result.warnings, **numbers}
+        print(json.dumps(done, ensure_ascii=False))
+        return
+    for warning in result.warnings:
+        typer.echo(f"warning: {warning}", err=True)
+    state = "watertight" if numbers["watertight"] else "NOT watertight"
+    print(
+        f"{result.name}: {numbers['points_in']} points, {numbers['sections']} of "
+        f"{numbers['slices']} slices became sections, {numbers['patches']} patches"
+    )
+    print(
+        f"mesh: {numbers['faces']} faces, {state}; residual rms {numbers['residual_rms_mm']:.3g} mm "
+        f"of {numbers['residual_points']} points, cloud width {numbers['thickness_mm']:.3g} mm"
+    )
+    print(f"time: {numbers['seconds']:.1f} s, peak memory {numbers['peak_memory_mb']:.0f} MB")
+    print(f"report: {out / 'report.html'}")
+
+
+def _run(work: Callable[[], None], *, debug: bool) -> None:
+    """Run a command's work and turn what is known to go wrong into a line and an exit code."""
+    from reconstruction.errors import (
+        NotLoftable,
+        ReconstructionError,
+        TooFewPoints,
+        UnreadableCloud,
+    )
+
+    try:
+        work()
+    except KeyboardInterrupt:
+        if debug:
+            raise
+        _fail(3, "stopped by the operator; nothing was written")
+    except (UnreadableCloud, TooFewPoints, ValueError) as error:
+        if debug:
+            raise
+        _fail(2, str(error))
+    except (NotLoftable, ReconstructionError) as error:
+        if debug:
+            raise
+        _fail(1, str(error))
+    except MemoryError as error:
+        if debug:
+            raise
+        _fail(1, f"out of memory ({error}); use a larger --spacing-mm, or --crop")
+    except OSError as error:
+        if debug:
+            raise
+        _fail(1, _explain(error))
+
+
+def _explain(error: OSError) -> str:
+    where = f"{error.filename}: " if error.filename else ""
+    if error.errno in {errno.ENOSPC, errno.EDQUOT}:
+        return f"{where}the disk is full; free some space and run again, nothing half-written is left"
+    if error.errno in {errno.EACCES, errno.EPERM, errno.EROFS}:
+        return f"{where}{error.strerror}; name a folder that may be written as --out"
+    return f"{where}{error.strerror or error}"
+
+
+def _fail(code: int, message: str) -> None:
+    typer.echo(f"loftscan: {' '.join(message.split())}", err=True)
+    raise typer.Exit(code)
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    app()
+
+
+if __name__ == "__main__":
+    sys.exit(app())

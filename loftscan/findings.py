@@ -1,0 +1,95 @@
+"""What a result does not show by itself, in sentences: what was left out, bridged or closed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import groupby
+
+import numpy as np
+
+from loftscan.metrics import is_one_turn
+from reconstruction.pipeline import Reconstruction
+from reconstruction.sections import Section
+from reconstruction.setting_aside import Aside
+from reconstruction.slicing import Cutting
+
+_NOTABLE_SHARE = 0.02  # of a slice's points left out before the slice is named
+_WIDE_GAP_SHARE = 0.25  # of a section's length
+
+
+def judge(cutting: Cutting, done: Reconstruction) -> tuple[str, ...]:
+    """Say what a person should know before using the surface; empty when there is nothing."""
+    found = [
+        _set_aside(cutting),
+        _left_out(done.sections),
+        _wide_gaps(done.sections),
+        _crossing(done.sections),
+        _skipped(done),
+        _lying(cutting, done.sections),
+    ]
+    return tuple(sentence for sentence in found if sentence)
+
+
+def _set_aside(cutting: Cutting) -> str | None:
+    plate = cutting.aside.get(Aside.PLATE, 0)
+    if not plate:
+        return None
+    return f"{plate} points of the table plate under the part were set aside"
+
+
+def _left_out(sections: Iterable[Section]) -> str | None:
+    named = [s for s in sections if s.left_out > _NOTABLE_SHARE * s.points]
+    if not named:
+        return None
+    points = sum(section.left_out for section in named)
+    return (
+        f"{points} points in slices {spans(s.index for s in named)} belong to something beside the "
+        "section's contour and are left out: the paper's method draws one contour a slice, so a "
+        "second one (a handle, a wing, the inside of a rim) is drawn in the report but not made"
+    )
+
+
+def _wide_gaps(sections: Iterable[Section]) -> str | None:
+    named = [s for s in sections if s.gap_mm > _WIDE_GAP_SHARE * s.length_mm]
+    if not named:
+        return None
+    return (
+        f"sections {spans(s.index for s in named)} are synthetic over more than a quarter of their "
+        "length: gaps were bridged or an open run was closed; do not measure there"
+    )
+
+
+def _crossing(sections: Iterable[Section]) -> str | None:
+    named = [s for s in sections if not is_one_turn(s.contour.turns)]
+    if not named:
+        return None
+    return (
+        f"sections {spans(s.index for s in named)} do not go round once: the macro-region walk "
+        "took points of two contours for one; try a larger --resolution-mm, or --crop"
+    )
+
+
+def _skipped(done: Reconstruction) -> str | None:
+    if not done.skipped:
+        return None
+    named = spans(each.index for each in done.skipped)
+    return f"slices {named} gave no section ({done.skipped[0].reason}) and are bridged or cut off"
+
+
+def _lying(cutting: Cutting, sections: Iterable[Section]) -> str | None:
+    """Most sections open: the part was probably not turned about this axis."""
+    flags = [not section.contour.closed for section in sections]
+    if not flags or np.mean(flags) < 0.5:
+        return None
+    axis = cutting.axis.value
+    return f"most sections are open: was the part turned about another axis than --axis {axis}?"
+
+
+def spans(indices: Iterable[int]) -> str:
+    """Numbers as a person writes them: 3-7, 9, 12-13."""
+    ordered = sorted(set(indices))
+    runs = [
+        [index for _, index in group]
+        for _, group in groupby(enumerate(ordered), key=lambda pair: pair[1] - pair[0])
+    ]
+    return ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else str(run[0]) for run in runs)

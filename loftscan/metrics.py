@@ -1,0 +1,124 @@
+"""The numbers of a result: metrics.json, one flat object, millimetres throughout."""
+
+from __future__ import annotations
+
+import math
+import resource
+import sys
+from collections.abc import Mapping
+
+import numpy as np
+
+from loftscan.inputs import Input
+from reconstruction.comparison import Deviation
+from reconstruction.pipeline import Reconstruction
+from reconstruction.setting_aside import Aside
+from reconstruction.slicing import Cutting
+
+
+def gather(
+    source: Input, cutting: Cutting, done: Reconstruction, deviation: Deviation
+) -> dict[str, object]:
+    """Collect what metrics.json says; docs/result-folder.md explains every name."""
+    return {
+        **_points(source, cutting, done),
+        **_sections(cutting, done),
+        **_residuals(done),
+        **_surface(done, deviation),
+    }
+
+
+def _points(source: Input, cutting: Cutting, done: Reconstruction) -> dict[str, object]:
+    aside = {reason.name.lower(): cutting.aside.get(reason, 0) for reason in Aside}
+    in_skipped = sum(each.points for each in done.skipped)
+    return {
+        "points_in": source.points,
+        "points_invalid": source.invalid,
+        "points_set_aside": sum(aside.values()),
+        "points_set_aside_by_reason": aside,
+        "points_in_sections": sum(section.points for section in done.sections),
+        "points_in_skipped_slices": in_skipped,
+        "points_left_out": sum(section.left_out for section in done.sections),
+    }
+
+
+def _sections(cutting: Cutting, done: Reconstruction) -> dict[str, object]:
+    sections = done.sections
+    length = sum(section.length_mm for section in sections)
+    return {
+        "slices": len(cutting.counts),
+        "sections": len(sections),
+        "slices_skipped": len(done.skipped),
+        "spacing_mm": cutting.spacing.step_mm,
+        "spacing_rule": cutting.spacing.rule.value,
+        "patches": len(done.patches),
+        "control_points": sum(len(section.curve.control_points_mm) for section in sections),
+        "patch_control_points": sum(patch.weights.size for patch in done.patches),
+        "thickness_mm": float(np.median([s.thickness.width_mm for s in sections])),
+        "thickness_definition": "median over sections of 4 sigma, sigma from local parabolas",
+        "radius_mm": _finite(float(np.median([s.thickness.radius_mm for s in sections]))),
+        "cell_mm": float(np.median([s.resolution.cell_mm for s in sections])),
+        "cell_by_rule_mm": float(np.median([s.resolution.rule_mm for s in sections])),
+        "gap_fraction": sum(section.gap_mm for section in sections) / length,
+        "sections_open": sum(not section.contour.closed for section in sections),
+        "sections_not_simple": sum(not is_one_turn(section.contour.turns) for section in sections),
+    }
+
+
+def is_one_turn(turns: float) -> bool:
+    """Whether a contour goes round its middle once: what the walk promises on good data."""
+    return math.isclose(abs(turns), 1.0, abs_tol=1e-6)
+
+
+def _residuals(done: Reconstruction) -> dict[str, object]:
+    near, every = done.residual, done.residual_all
+    return {
+        "residual_rms_mm": near.rms_mm,
+        "residual_max_mm": near.max_mm,
+        "residual_mean_mm": near.mean_mm,
+        "residual_points": near.count,
+        "residual_rule": (
+            "in-plane distance of every unreduced point to its section's curve; points farther "
+            "than 3 cells belong to something the section does not describe and are left out"
+        ),
+        "residual_all_rms_mm": every.rms_mm,
+        "residual_all_max_mm": every.max_mm,
+        "residual_all_points": every.count,
+    }
+
+
+def _surface(done: Reconstruction, deviation: Deviation) -> dict[str, object]:
+    sound = done.cleaned.after
+    statistics = deviation.statistics
+    return {
+        "surface_deviation_rms_mm": statistics.rms_mm,
+        "surface_deviation_95_mm": statistics.absolute_95_mm,
+        "surface_deviation_max_mm": max(-statistics.min_mm, statistics.max_mm),
+        "surface_deviation_points": statistics.count,
+        "vertices": sound.vertices,
+        "faces": sound.faces,
+        "watertight": sound.watertight,
+        "oriented": sound.oriented,
+        "manifold": sound.manifold,
+        "euler_number": sound.euler_number,
+        "components": sound.components,
+        "volume_mm3": _finite(sound.volume_mm3),
+        "area_mm2": sound.area_mm2,
+    }
+
+
+def resources(seconds: Mapping[str, float]) -> dict[str, object]:
+    """Seconds by stage and in all, and the peak memory of this process and of its children."""
+    own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+    unit = 1024.0 if sys.platform != "darwin" else 1024.0 * 1024.0
+    return {
+        "seconds": sum(seconds.values()),
+        "seconds_by_stage": dict(seconds),
+        "peak_memory_mb": own / unit,
+        "peak_memory_children_mb": children / unit,
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

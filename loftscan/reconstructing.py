@@ -1,0 +1,185 @@
+"""The verb `reconstruct`: a cloud in, a result out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loftscan import metrics, provenance
+from loftscan.inputs import Input, Unit, judge_size, open_input
+from loftscan.progress import Progress, silent
+from loftscan.result import Result
+from loftscan.findings import judge
+from reconstruction.arrays import FloatArray
+from reconstruction.cleanup import CleanupSettings
+from reconstruction.comparison import Deviation, compare_to_mesh
+from reconstruction.paper import PaperSettings
+from reconstruction.pipeline import Reconstruction, reconstruct_paper
+from reconstruction.reduction import Box
+from reconstruction.slices import Slice
+from reconstruction.slicing import Cutting, cut_cloud
+from reconstruction.survey import Axis
+
+_SAMPLE = 200_000
+
+
+class Method(Enum):
+    """How sections are made."""
+
+    PAPER = "paper"
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Everything that decides a reconstruction, besides its input."""
+
+    method: Method = Method.PAPER
+    axis: Axis = Axis.Z
+    unit: Unit = Unit.MM
+    spacing_mm: float | None = None
+    resolution_mm: float | None = None
+    tolerance_mm: float | None = None
+    crop: Box | None = None
+    intermediate: int = 0
+    cleanup: CleanupSettings = field(default_factory=CleanupSettings)
+
+    def __post_init__(self) -> None:
+        for name in ("spacing_mm", "resolution_mm", "tolerance_mm"):
+            value = getattr(self, name)
+            if value is not None and not (0.0 < value < float("inf")):
+                option = name.replace("_", "-")
+                raise ValueError(f"--{option} {value:g}: a length above 0 mm is expected")
+        if self.intermediate < 0:
+            raise ValueError("--intermediate: a number of sections, 0 or more, is expected")
+
+    def said(self) -> dict[str, object]:
+        """The settings as provenance.json says them."""
+        crop = self.crop and [self.crop.low_mm.tolist(), self.crop.high_mm.tolist()]
+        return {
+            "method": self.method.value,
+            "axis": self.axis.value,
+            "unit": self.unit.value,
+            "spacing_mm": self.spacing_mm,
+            "resolution_mm": self.resolution_mm,
+            "tolerance_mm": self.tolerance_mm,
+            "crop_mm": str(crop) if crop else None,
+            "intermediate": self.intermediate,
+            "remesh_edge_mm": self.cleanup.remesh_edge_mm,
+            "decimate_to_faces": self.cleanup.decimate_to_faces,
+        }
+
+
+def reconstruct_with(
+    source: Path | str | ArrayLike,
+    settings: Settings,
+    *,
+    name: str | None = None,
+    progress: Progress = silent,
+) -> Result:
+    """Reconstruct a cloud file or an (n, 3) array, called `name` in what is written.
+
+    Raises
+    ------
+    UnreadableCloud, TooFewPoints
+        The input is no cloud, or too small for a surface.
+    ReconstructionError
+        The work failed; the message says what and what to do.
+    """
+    clock = _Clock()
+    with open_input(source, settings.unit) as opened:
+        with clock.stage("slicing"):
+            progress("slicing", 0, opened.cloud.point_count or 0)
+            cutting = cut_cloud(
+                opened.chunks, settings.axis, spacing_mm=settings.spacing_mm, crop=settings.crop
+            )
+            progress("slicing", opened.points, opened.points)
+        collector = _Collector(int(cutting.counts.sum()))
+        with clock.stage("sections"):
+            done = _draw(collector.pass_on(cutting.slices()), len(cutting.counts), settings, progress)
+        with clock.stage("comparison"):
+            progress("comparison", 0, 1)
+            deviation = _compare(collector.points, done, settings)
+            progress("comparison", 1, 1)
+        title = name or Path(opened.name).stem
+        return _conclude(title, opened, cutting, done, collector.points, deviation, settings, clock)
+
+
+def _draw(
+    slices: Iterator[Slice], count: int, settings: Settings, progress: Progress
+) -> Reconstruction:
+    paper = PaperSettings(
+        resolution_mm=settings.resolution_mm, intermediate=settings.intermediate
+    )
+    for number, ready in enumerate(reconstruct_paper(slices, paper, settings.cleanup), start=1):
+        if isinstance(ready, Reconstruction):
+            return ready
+        progress("sections", number, count)
+    raise AssertionError("a pipeline ends with its reconstruction")
+
+
+def _compare(sample_mm: FloatArray, done: Reconstruction, settings: Settings) -> Deviation:
+    return compare_to_mesh(sample_mm, done.mesh, tolerance_mm=settings.tolerance_mm)
+
+
+def _conclude(
+    title: str,
+    opened: Input,
+    cutting: Cutting,
+    done: Reconstruction,
+    sample_mm: FloatArray,
+    deviation: Deviation,
+    settings: Settings,
+    clock: _Clock,
+) -> Result:
+    numbers = metrics.gather(opened, cutting, done, deviation)
+    numbers |= metrics.resources(clock.seconds)
+    size = judge_size(cutting.box, opened.unit)
+    return Result(
+        name=title,
+        reconstruction=done,
+        cutting=cutting,
+        sample_mm=sample_mm,
+        deviation=deviation,
+        metrics=numbers,
+        provenance=provenance.record(opened, settings.said()),
+        warnings=tuple([size] if size else []) + judge(cutting, done),
+    )
+
+
+class _Collector:
+    """Keeps every k-th point of the slices that pass by, at most 200 000."""
+
+    def __init__(self, points: int) -> None:
+        self._stride = max(1, -(-points // _SAMPLE))
+        self._offset = 0
+        self._kept: list[FloatArray] = []
+
+    def pass_on(self, slices: Iterator[Slice]) -> Iterator[Slice]:
+        for piece in slices:
+            self._kept.append(piece.points_mm[self._offset :: self._stride].copy())
+            self._offset = (self._offset - len(piece.points_mm)) % self._stride
+            yield piece
+
+    @property
+    def points(self) -> FloatArray:
+        return np.concatenate([np.empty((0, 3)), *self._kept])
+
+
+class _Clock:
+    """Wall-clock seconds of each stage."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        begun = time.perf_counter()
+        yield
+        self.seconds[name] = round(time.perf_counter() - begun, 4)
