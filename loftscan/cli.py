@@ -127,9 +127,9 @@ def compare(
             print(json.dumps({"event": "done", "out": str(out), **found.metrics}))
         else:
             print(
-                f"{found.measured.name} against {found.reference.name}: rms {numbers.rms_mm:.4g} mm, "
-                f"mean {numbers.mean_mm:+.4g} mm, 95 % within {numbers.absolute_95_mm:.4g} mm, "
-                f"{numbers.count} points"
+                f"{found.measured.name} against {found.reference.name}: "
+                f"rms {numbers.rms_mm:.4g} mm, mean {numbers.mean_mm:+.4g} mm, "
+                f"95 % within {numbers.absolute_95_mm:.4g} mm, {numbers.count} points"
             )
             print(f"report: {out / 'report.html'}")
         if verdict is not None and not verdict.within:
@@ -225,8 +225,9 @@ def _tell(result: Result, out: Path, *, json_lines: bool) -> None:
         f"{numbers['slices']} slices became sections, {numbers['patches']} patches"
     )
     print(
-        f"mesh: {numbers['faces']} faces, {state}; residual rms {numbers['residual_rms_mm']:.3g} mm "
-        f"of {numbers['residual_points']} points, cloud width {numbers['thickness_mm']:.3g} mm"
+        f"mesh: {numbers['faces']} faces, {state}; "
+        f"residual rms {numbers['residual_rms_mm']:.3g} mm of {numbers['residual_points']} points, "
+        f"cloud width {numbers['thickness_mm']:.3g} mm"
     )
     print(f"time: {numbers['seconds']:.1f} s, peak memory {numbers['peak_memory_mb']:.0f} MB")
     print(f"report: {out / 'report.html'}")
@@ -268,7 +269,9 @@ def _run(work: Callable[[], None], *, debug: bool) -> None:
 def _explain(error: OSError) -> str:
     where = f"{error.filename}: " if error.filename else ""
     if error.errno in {errno.ENOSPC, errno.EDQUOT}:
-        return f"{where}the disk is full; free some space and run again, nothing half-written is left"
+        return (
+            f"{where}the disk is full; free some space and run again, nothing half-written is left"
+        )
     if error.errno in {errno.EACCES, errno.EPERM, errno.EROFS}:
         return f"{where}{error.strerror}; name a folder that may be written as --out"
     return f"{where}{error.strerror or error}"

@@ -213,7 +213,7 @@ def _write_deviation(path: Path, comparison: Comparison) -> None:
     )
     with path.open("wb") as file:
         file.write(header.encode("ascii"))
-        file.write(memoryview(rows).cast("B"))
+        file.write(rows.data)
 
 
 def _finite(value: float) -> float | None:

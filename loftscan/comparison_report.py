@@ -10,7 +10,9 @@ import numpy as np
 from loftscan import figures
 from loftscan.comparing import Comparison
 from loftscan.rendering import MeshLayer, PointLayer, Scene, camera_around, render_scene
+from loftscan.rendering.scene import ByteArray
 from loftscan.report import Fact, Finding, MetricGroup, Picture, Report, Severity, write_report
+from reconstruction.meshing import Mesh
 
 _SIZE_PX = (1100, 825)
 
@@ -65,7 +67,9 @@ def _pictures(comparison: Comparison) -> tuple[Picture, ...]:
     # A flat zero deviation still needs a colour bar with two different ends.
     limit = max(deviation.statistics.absolute_95_mm, 1e-6)
     title = "Deviation"
-    map_png = figures.png(figures.deviation_figure(_image(comparison, limit), limit_mm=limit, title=title))
+    map_png = figures.png(
+        figures.deviation_figure(_image(comparison, limit), limit_mm=limit, title=title)
+    )
     tolerance = deviation.verdict.tolerance_mm if deviation.verdict else None
     histogram = figures.histogram_figure(deviation.distances_mm, tolerance_mm=tolerance)
     return (
@@ -74,15 +78,13 @@ def _pictures(comparison: Comparison) -> tuple[Picture, ...]:
     )
 
 
-def _image(comparison: Comparison, limit_mm: float) -> figures.ByteArray:
+def _image(comparison: Comparison, limit_mm: float) -> ByteArray:
     points = comparison.points_mm
     distances = np.where(comparison.deviation.beyond, np.nan, comparison.deviation.distances_mm)
     colours = figures.deviation_colours(distances, limit_mm)
     camera = camera_around(points)
     measured = comparison.measured.mesh
     if measured is not None:
-        from reconstruction.meshing import Mesh
-
         moved = Mesh(points, measured.faces, measured.synthetic)
         scene = Scene(meshes=(MeshLayer(moved, colours),))
     else:
@@ -93,5 +95,7 @@ def _image(comparison: Comparison, limit_mm: float) -> figures.ByteArray:
 
 def _table(comparison: Comparison) -> MetricGroup:
     plain = {k: v for k, v in comparison.metrics.items() if isinstance(v, (str, int, float))}
-    facts = (Fact(k.removesuffix("_mm"), v, "mm" if k.endswith("_mm") else "") for k, v in plain.items())
+    facts = (
+        Fact(k.removesuffix("_mm"), v, "mm" if k.endswith("_mm") else "") for k, v in plain.items()
+    )
     return MetricGroup("Deviation", tuple(facts))

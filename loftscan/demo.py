@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import BoolArray, FloatArray
 
 SEED = 20
 HEIGHT_MM = 90.0
@@ -31,7 +31,7 @@ def vase_radius_mm(angle_rad: FloatArray, height_mm: FloatArray) -> FloatArray:
 
 
 def make_cloud(seed: int = SEED) -> FloatArray:
-    """Scan the vase row by row: (n, 3) in mm, axis z, with noise, two shadows, drop-outs, strays."""
+    """Scan the vase row by row, (n, 3) in mm, axis z: noise, two shadows, drop-outs, strays."""
     rng = np.random.default_rng(seed)
     rows = np.linspace(0.0, HEIGHT_MM, _ROWS)
     angles = np.arange(_STEPS) * (2.0 * math.pi / _STEPS)
@@ -46,7 +46,7 @@ def make_cloud(seed: int = SEED) -> FloatArray:
     return np.concatenate([part, strays[np.hypot(strays[:, 0], strays[:, 1]) > 50.0]])
 
 
-def _shadowed(angle: FloatArray, height: FloatArray) -> FloatArray:
+def _shadowed(angle: FloatArray, height: FloatArray) -> BoolArray:
     """Two places that the camera never saw: a strip of 20 degrees and a patch of 30."""
     strip = (np.abs(angle - 1.0) < math.radians(10)) & (height > 30.0) & (height < 75.0)
     patch = (np.abs(angle - 3.6) < math.radians(15)) & (height > 12.0) & (height < 26.0)

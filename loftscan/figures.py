@@ -34,6 +34,9 @@ UNDEFINED = (150, 150, 150)  # synthetic, or nothing measured near
 _KEPT = (70, 120, 172)
 _SET_ASIDE = (213, 94, 0)
 _SIZE_PX = (1100, 760)
+_TITLE_PX = 44  # strip above a picture
+_BAR_PX = 170  # strip beside it for the colour bar
+_DOTS_PER_INCH = 130
 _STYLE: Any = {  # the keys are a Literal type in new matplotlib, str in old
     "axes.edgecolor": MUTED,
     "axes.grid": True,
@@ -69,7 +72,7 @@ class CellGrid:
     size_mm: tuple[float, float]
 
 
-def png(figure: Figure, *, dots_per_inch: float = 130) -> bytes:
+def png(figure: Figure, *, dots_per_inch: float = _DOTS_PER_INCH) -> bytes:
     """Encode a figure as PNG bytes that depend on nothing but the figure."""
     stream = io.BytesIO()
     with mpl.rc_context(_STYLE):
@@ -119,7 +122,9 @@ def section_figure(
         for number, gap in enumerate(gaps_mm):
             label = f"gaps, synthetic: {len(gaps_mm)}" if number == 0 else None
             axes.plot(*gap.T, color=RED, lw=2.6, ls=(0, (2, 1)), label=label)
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside right upper")
+        figure.legend(
+            *axes.get_legend_handles_labels(), loc="upper right", bbox_to_anchor=(0.99, 0.93)
+        )
     return figure
 
 
@@ -149,13 +154,15 @@ def deviation_colours(
 def deviation_figure(image: ByteArray, *, limit_mm: float, title: str) -> Figure:
     """Set a picture (h, w, 3) of a mesh in deviation colours beside its colour bar in mm."""
     with mpl.rc_context(_STYLE):
-        figure, axes = _picture(image, title, wider_in=1.0)
+        figure = _picture(image, title, margin_px=_BAR_PX)
+        width = image.shape[1] + _BAR_PX
+        place = ((image.shape[1] + 24) / width, 0.14, 22 / width, 0.7)
         scale = ScalarMappable(Normalize(-limit_mm, limit_mm), _DIVERGING)
-        bar = figure.colorbar(scale, ax=axes, extend="both", fraction=0.05, pad=0.02, shrink=0.8)
+        bar = figure.colorbar(scale, cax=figure.add_axes(place), extend="both")
         bar.set_label("deviation, outwards positive [mm]")
         bar.outline.set_visible(False)
         swatch = Line2D([], [], ls="", marker="s", color=np.divide(UNDEFINED, 255).tolist())
-        figure.legend([swatch], ["no measured point"], loc="outside lower right")
+        figure.legend([swatch], ["no measured point"], loc="lower right")
     return figure
 
 
@@ -177,8 +184,8 @@ def histogram_figure(
         raise ValueError("histogram: give either values or (edges, counts)")
     edges, counts = binned if binned is not None else _binned(np.asarray(values_mm))
     with mpl.rc_context(_STYLE):
-        figure = Figure((7.2, 3.4), layout="constrained")
-        axes = figure.add_subplot()
+        figure = Figure((7.2, 3.4))
+        axes = figure.add_axes((0.11, 0.15, 0.87, 0.73))
         axes.set(title=title, xlabel="deviation [mm]", ylabel="number of points")
         if values_mm is not None:
             axes.set_xlabel("deviation [mm]; the outermost bars hold what lies beyond")
@@ -202,23 +209,26 @@ def sections_figure(
     title: str,
     camera: Camera | None = None,
     up: Axis = "z",
-    left_out_mm: Sequence[FloatArray] = (),
+    left_out_mm: FloatArray | None = None,
     size_px: tuple[int, int] = _SIZE_PX,
 ) -> Figure:
     """Draw section curves, (k, 3) each, in space; from lowest to highest through the colours."""
     lines = tuple(polylines_mm)
-    camera = camera or camera_around(*lines, *left_out_mm, up=up)
+    left_out = np.empty((0, 3)) if left_out_mm is None else left_out_mm
+    camera = camera or camera_around(*lines, left_out, up=up)
     heights = np.array([np.mean(line[:, camera.up_index]) if len(line) else 0.0 for line in lines])
     ranks = np.argsort(np.argsort(heights)) / max(len(lines) - 1, 1)
     colours = mpl.colormaps["viridis"](0.85 * ranks.reshape(-1), bytes=True)[:, :3]
-    left_out = PolylineLayer(tuple(left_out_mm), _SET_ASIDE, 2.4)
-    drawn = PolylineLayer(lines, colours, 1.8)
-    image = _render(Scene(polylines=(drawn, left_out)), camera=camera, size_px=size_px)
+    scene = Scene(
+        points=(PointLayer(left_out, _SET_ASIDE, 2.4),),
+        polylines=(PolylineLayer(lines, colours, 1.8),),
+    )
+    image = _render(scene, camera=camera, size_px=size_px)
     labels = [
         (_hex(colours[len(colours) // 2]) if len(lines) else MUTED, f"{len(lines):,} sections")
     ]
-    if left_out_mm:
-        labels.append((RED, f"{len(left_out_mm):,} left out"))
+    if len(left_out):
+        labels.append((RED, f"{len(left_out):,} points left out"))
     return _labelled_picture(image, title, labels, camera)
 
 
@@ -252,12 +262,12 @@ def bead_radius_px(count: int, size_px: tuple[int, int]) -> float:
 def picture_figure(image: ByteArray, *, title: str) -> Figure:
     """Set a picture (h, w, 3) under its title, in the style of the other figures."""
     with mpl.rc_context(_STYLE):
-        return _picture(image, title, wider_in=0.0)[0]
+        return _picture(image, title)
 
 
 def _plane(title: str) -> tuple[Figure, Axes]:
-    figure = Figure((7.6, 5.6), layout="constrained")
-    axes = figure.add_subplot()
+    figure = Figure((7.6, 5.6))
+    axes = figure.add_axes((0.09, 0.1, 0.66, 0.82))
     axes.set(title=title, xlabel="x [mm]", ylabel="y [mm]")
     axes.set_aspect("equal", adjustable="datalim")
     return figure, axes
@@ -281,25 +291,31 @@ def _dots(axes: Axes, points_mm: FloatArray, colour: str, label: str, size: floa
     axes.scatter(x, y, s=size, c=colour, lw=0, label=label, rasterized=True, zorder=1.5)
 
 
-def _picture(image: ByteArray, title: str, *, wider_in: float) -> tuple[Figure, Axes]:
-    height, width = image.shape[:2]
-    figure = Figure((7.4 + wider_in, 7.4 * height / width + 0.4), layout="constrained")
-    axes = figure.add_subplot()
-    axes.imshow(image, interpolation="antialiased")
-    axes.set_axis_off()
-    axes.set_title(title)
-    return figure, axes
+def _picture(image: ByteArray, title: str, *, margin_px: int = 0) -> Figure:
+    """A figure that holds the picture pixel for pixel, a strip above for the title, one beside.
+
+    No axes and no layout engine: both would resample the picture and draw everything twice.
+    """
+    height, width = image.shape[0] + _TITLE_PX, image.shape[1] + margin_px
+    figure = Figure((width / _DOTS_PER_INCH, height / _DOTS_PER_INCH), dpi=_DOTS_PER_INCH)
+    figure.figimage(image, resize=False)
+    figure.text(8 / width, 1 - 0.5 * _TITLE_PX / height, title, size=11, va="center")
+    return figure
 
 
 def _labelled_picture(
     image: ByteArray, title: str, labels: Sequence[tuple[str, str]], camera: Camera
 ) -> Figure:
     with mpl.rc_context(_STYLE):
-        figure, axes = _picture(image, title, wider_in=0.0)
+        figure = _picture(image, title)
         handles = [Line2D([], [], ls="", marker="o", ms=5, color=colour) for colour, _ in labels]
-        axes.legend(handles, [text for _, text in labels], loc="upper left")
+        top = image.shape[0] / (image.shape[0] + _TITLE_PX)
+        words = [text for _, text in labels]
+        figure.legend(handles, words, loc="upper left", bbox_to_anchor=(0.0, top))
         extent = " x ".join(f"{side:.4g}" for side in np.diff(camera.bounds_mm, axis=0)[0])
-        axes.set_title(f"{extent} mm", loc="right", fontsize=9, color=MUTED)
+        right = 1 - 8 / image.shape[1]
+        text = figure.text(right, (1 + top) / 2, f"{extent} mm", ha="right", va="center")
+        text.set(size=9, color=MUTED)
     return figure
 
 

@@ -1,4 +1,4 @@
-"""What a person names as input, made ready: a cloud in millimetres that can be passed over again."""
+"""What a person names as input: a cloud in millimetres that can be passed over again."""
 
 from __future__ import annotations
 
@@ -63,7 +63,10 @@ class Input:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._stack.close()
 
@@ -131,7 +134,7 @@ def _append(path: Path, chunks: list[FloatArray]) -> None:
         path.write_bytes(b" " * _HEADER)
     with path.open("ab") as file:
         for chunk in chunks:
-            file.write(memoryview(np.ascontiguousarray(chunk)).cast("B"))
+            file.write(np.ascontiguousarray(chunk).data)
 
 
 def _reopen(path: Path, points: int) -> Cloud:
@@ -155,8 +158,14 @@ def judge_size(box: Box, unit: Unit) -> str | None:
     if low <= widest <= high:
         return None
     guess = next((u for u in Unit if low <= widest / unit.in_mm * u.in_mm <= high), None)
-    remedy = f"; --unit {guess.value} would make it {widest / unit.in_mm * guess.in_mm:.4g} mm" if guess else ""
-    return f"the part is {_readable(widest)} wide in --unit {unit.value}: is the unit right?{remedy}"
+    remedy = (
+        f"; --unit {guess.value} would make it {widest / unit.in_mm * guess.in_mm:.4g} mm"
+        if guess
+        else ""
+    )
+    return (
+        f"the part is {_readable(widest)} wide in --unit {unit.value}: is the unit right?{remedy}"
+    )
 
 
 def _readable(length_mm: float) -> str:

@@ -34,6 +34,7 @@ class Lines:
         self._begun = time.monotonic()
 
     def __call__(self, stage: str, done: int, total: int) -> None:
+        """Write the step as a line."""
         seconds = round(time.monotonic() - self._begun, 3)
         self.say(event="progress", stage=stage, done=done, total=total, seconds=seconds)
 

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loftscan import metrics, provenance
+from loftscan.findings import judge
 from loftscan.inputs import Input, Unit, judge_size, open_input
 from loftscan.progress import Progress, silent
 from loftscan.result import Result
-from loftscan.findings import judge
 from reconstruction.arrays import FloatArray
 from reconstruction.cleanup import CleanupSettings
 from reconstruction.comparison import Deviation, compare_to_mesh
@@ -102,7 +102,9 @@ def reconstruct_with(
             progress("slicing", opened.points, opened.points)
         collector = _Collector(int(cutting.counts.sum()))
         with clock.stage("sections"):
-            done = _draw(collector.pass_on(cutting.slices()), len(cutting.counts), settings, progress)
+            done = _draw(
+                collector.pass_on(cutting.slices()), len(cutting.counts), settings, progress
+            )
         with clock.stage("comparison"):
             progress("comparison", 0, 1)
             deviation = _compare(collector.points, done, settings)
@@ -114,9 +116,7 @@ def reconstruct_with(
 def _draw(
     slices: Iterator[Slice], count: int, settings: Settings, progress: Progress
 ) -> Reconstruction:
-    paper = PaperSettings(
-        resolution_mm=settings.resolution_mm, intermediate=settings.intermediate
-    )
+    paper = PaperSettings(resolution_mm=settings.resolution_mm, intermediate=settings.intermediate)
     for number, ready in enumerate(reconstruct_paper(slices, paper, settings.cleanup), start=1):
         if isinstance(ready, Reconstruction):
             return ready

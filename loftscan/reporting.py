@@ -14,7 +14,6 @@ from loftscan.rendering import (
     Camera,
     Edges,
     MeshLayer,
-    PolylineLayer,
     Scene,
     camera_around,
     encode_png,
@@ -26,13 +25,14 @@ from loftscan.result import Result
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
 from reconstruction.nurbs import evaluate_curve
 from reconstruction.sections import Section
-from reconstruction.setting_aside import Aside
 
-_SIZE_PX = (1100, 825)
+_SIZE_PX = (1100, 760)
 _CLAY = (188, 196, 206)
 _BRIDGED = (222, 135, 40)
 _STEPS_A_SPAN = 6
 _SECTIONS_SHOWN = 3
+_POINTS_DRAWN = 20_000
+_HISTOGRAM_BINS = 61
 
 
 def write_result_report(path: Path, result: Result) -> None:
@@ -85,11 +85,13 @@ def _findings(result: Result) -> tuple[Finding, ...]:
     if verdict is not None:
         severity = Severity.GOOD if verdict.within else Severity.FAILURE
         sentence = (
-            f"{verdict.share_within:.2%} of the points lie within {verdict.tolerance_mm:g} mm of the "
-            f"mesh; {verdict.rule}."
+            f"{verdict.share_within:.2%} of the points lie within {verdict.tolerance_mm:g} mm "
+            f"of the mesh; {verdict.rule}."
         )
         findings.append(Finding(severity, sentence))
-    findings += [Finding(Severity.WARNING, f"{text[0].upper()}{text[1:]}.") for text in result.warnings]
+    findings += [
+        Finding(Severity.WARNING, f"{text[0].upper()}{text[1:]}.") for text in result.warnings
+    ]
     return tuple(findings)
 
 
@@ -100,9 +102,9 @@ def _explain_left_out(result: Result) -> tuple[str, ...]:
         f"{count} {reason.name.lower()}" for reason, count in result.cutting.aside.items() if count
     )
     return (
-        f"{left_out} of {every} points in the sections ({left_out / max(1, every):.2%}) lie farther "
-        "than three cells from their section's curve. They are drawn in red and are in no residual "
-        f"but the one named so (rms {done.residual_all.rms_mm:.3g} mm over all points).",
+        f"{left_out} of {every} points in the sections ({left_out / max(1, every):.2%}) lie "
+        "farther than three cells from their section's curve. They are drawn in red and are in no "
+        f"residual but the one named so (rms {done.residual_all.rms_mm:.3g} mm over all points).",
         f"Set aside before slicing: {aside or 'nothing'}.",
         "Caps are not measured: slices parallel to a flat end never sample it.",
     )
@@ -140,13 +142,15 @@ def draw_pictures(result: Result) -> tuple[Picture, ...]:
                     [polyline(section) for section in result.sections],
                     title="The sections",
                     camera=camera,
-                    left_out_mm=[left_out],
+                    left_out_mm=left_out,
                 )
             ),
             "The sections",
             "One closed NURBS curve a slice.",
         ),
-        Picture(draw_deviation(result, camera), "Deviation of the points from the mesh", _rule(result)),
+        Picture(
+            draw_deviation(result, camera), "Deviation of the points from the mesh", _rule(result)
+        ),
         Picture(
             figures.png(
                 figures.histogram_figure(
@@ -238,9 +242,23 @@ def _rule(result: Result) -> str:
 
 
 def _histogram(result: Result) -> tuple[FloatArray, IntArray]:
-    """Bins of the residual, cut to the range that holds nearly all points."""
+    """Bins of the residual over the range that holds 99 % of the points.
+
+    The outer bins take in what lies beyond, so that nothing leaves the count.
+    """
     residual = result.reconstruction.residual_all
-    return residual.edges_mm, residual.bins
+    middle = len(residual.bins) // 2
+    outwards = residual.bins[middle:].astype(float)
+    outwards[1:] += residual.bins[:middle][::-1]
+    within = np.cumsum(outwards) >= 0.99 * residual.count
+    reach = max(_HISTOGRAM_BINS // 2, int(np.argmax(within)))
+    group = -(-(2 * reach + 1) // _HISTOGRAM_BINS)
+    reach = min((group * _HISTOGRAM_BINS) // 2, middle)
+    places = np.clip(np.arange(len(residual.bins)) - middle, -reach, reach) + reach
+    counts = np.bincount(places // group, weights=residual.bins).astype(np.int64)
+    first = residual.edges_mm[middle - reach]
+    step = group * float(residual.edges_mm[1] - residual.edges_mm[0])
+    return first + step * np.arange(len(counts) + 1), counts
 
 
 def _section_pictures(result: Result) -> list[Picture]:
@@ -253,8 +271,9 @@ def _section_pictures(result: Result) -> list[Picture]:
 
 def _section_picture(result: Result, section: Section) -> Picture:
     frame = section.frame
-    pieces = {piece.index: piece for piece in result.cutting.slices() if piece.index == section.index}
-    points = frame.to_plane(pieces[section.index].points_mm)[:, :2]
+    measured = result.cutting.slice_at(section.index).points_mm
+    thinned = measured[:: max(1, len(measured) // _POINTS_DRAWN)]
+    points = frame.to_plane(thinned)[:, :2]
     curve = frame.to_plane(polyline(section))[:, :2]
     cell = section.resolution.cell_mm
     contour = section.contour
@@ -269,8 +288,9 @@ def _section_picture(result: Result, section: Section) -> Picture:
         left_out_mm=frame.to_plane(section.left_out_mm)[:, :2],
     )
     caption = (
-        f"{section.points} points, {len(contour.points_mm)} centres of mass in cells of {cell:.3g} mm "
-        f"({section.resolution.reason}), residual rms {section.residual.rms_mm:.3g} mm."
+        f"{section.points} points, {len(contour.points_mm)} centres of mass in cells of "
+        f"{cell:.3g} mm ({section.resolution.reason}), "
+        f"residual rms {section.residual.rms_mm:.3g} mm."
     )
     return Picture(figures.png(figure), title, caption)
 
@@ -282,13 +302,15 @@ def _gap(section: Section, u0: float, u1: float) -> FloatArray:
 
 # -- tables --------------------------------------------------------------------------------------
 
+_SECTION_NAMES = "slices sections spacing patch control thickness radius cell gap"
+_MESH_NAMES = "vertices faces watertight oriented manifold euler components volume area"
 _GROUPS = {
     "Points": ("points_",),
-    "Sections": ("slices", "sections", "spacing", "patch", "control", "thickness", "radius", "cell", "gap"),
+    "Sections": tuple(_SECTION_NAMES.split()),
     "Residuals": ("residual", "surface_deviation"),
-    "Mesh": ("vertices", "faces", "watertight", "oriented", "manifold", "euler", "components", "volume", "area"),
+    "Mesh": tuple(_MESH_NAMES.split()),
     "Effort": ("seconds", "peak"),
-}  # fmt: skip
+}
 _UNITS = {"_mm": "mm", "_mm2": "mm²", "_mm3": "mm³", "_mb": "MB", "seconds": "s"}
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from loftscan.comparing import Comparison, compare_things
@@ -73,11 +74,9 @@ def reconstruct(
         spacing_mm=spacing_mm,
         resolution_mm=resolution_mm,
         tolerance_mm=tolerance_mm,
-        crop=None if crop_mm is None else Box(*crop_mm),
+        crop=None if crop_mm is None else Box(*np.asarray(crop_mm, dtype=np.float64)),
         intermediate=intermediate,
-        cleanup=CleanupSettings(
-            remesh_edge_mm=remesh_edge_mm, decimate_to_faces=decimate_to_faces
-        ),
+        cleanup=CleanupSettings(remesh_edge_mm=remesh_edge_mm, decimate_to_faces=decimate_to_faces),
     )
     return reconstruct_with(source, settings, progress=progress)
 

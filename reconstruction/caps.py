@@ -68,9 +68,7 @@ def _find_ear(
 
 
 @njit(cache=True)
-def _is_empty(
-    corners: FloatArray, following: IntArray, before: int, ear: int, after: int
-) -> bool:
+def _is_empty(corners: FloatArray, following: IntArray, before: int, ear: int, after: int) -> bool:
     a, b, c = corners[before], corners[ear], corners[after]
     other = following[after]
     while other != before:
@@ -83,4 +81,4 @@ def _is_empty(
 
 @njit(cache=True)
 def _turn(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
-    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))

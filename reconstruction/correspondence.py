@@ -1,10 +1,10 @@
-"""Which point of one section belongs to which of the next (the paper's section 2.4).
+r"""Which point of one section belongs to which of the next (the paper's section 2.4).
 
 Sections of equal count correspond one to one. Where the bigger one has d points more, d pairs of
 its neighbouring points are each connected to one point of the smaller, in sequence::
 
     smaller    o-------o-------o-------o
-               |      / \\      |      / \\        two pairs: 6 points onto 4
+               |      / \      |      / \        two pairs: 6 points onto 4
     bigger     o-----o---o-----o-----o---o
 """
 

@@ -73,7 +73,7 @@ def _file_segments(
 
 @njit(cache=True)
 def _bucket(value: float, low: float, edge: float, count: int) -> int:
-    return min(max(int(math.floor((value - low) / edge)), 0), count - 1)
+    return min(max(math.floor((value - low) / edge), 0), count - 1)
 
 
 @njit(cache=True)
@@ -123,7 +123,7 @@ def _square_to_segment(x: float, y: float, corners: FloatArray, k: int) -> float
     length = ux * ux + uy * uy
     share = min(max((wx * ux + wy * uy) / length, 0.0), 1.0) if length > 0.0 else 0.0
     dx, dy = wx - share * ux, wy - share * uy
-    return dx * dx + dy * dy
+    return float(dx * dx + dy * dy)
 
 
 @njit(cache=True)

@@ -5,7 +5,7 @@
     ├── Unfittable                 a curve stays farther from its points than it may
     ├── NotLoftable                sections that cannot be joined to one surface
     ├── UnreadableCloud(OSError)   the input file is missing, damaged or of no known format
-    ├── CleanupFailed              the mesh child died, ran out of time or memory, or broke a promise
+    ├── CleanupFailed              the mesh child died, ran out of time or memory, broke a promise
     └── MissingExtra(ImportError)  an optional library, or a system library, is not installed
 
 Wrong arguments of a caller stay ``ValueError``: the split is by who is at fault.

@@ -91,13 +91,13 @@ def _band(lower: FloatArray, upper: FloatArray, start: int, upper_start: int) ->
 
 
 def _band_onto(bigger: FloatArray, smaller: FloatArray, groups: IntArray) -> IntArray:
-    """Connect a ring onto one of fewer points.
+    r"""Connect a ring onto one of fewer points.
 
     Vertices of the bigger are 0..n-1, of the smaller n..n+m-1. Group g begins at bigger point
     ``groups[g]``::
 
         smaller     s ----------- s'
-                    | \\          |
+                    | \          |
         bigger      b --- e ----- b'      b..e are one group: one point (b = e) or a pair
     """
     count = len(bigger)

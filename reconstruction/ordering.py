@@ -180,7 +180,7 @@ def _follow(
     reach: int,
 ) -> tuple[int, bool]:
     """Walk on from ``path[length - 1]``; return the new length and whether the walk came back."""
-    while length < len(path):
+    while True:
         here = path[length - 1]
         chosen = -1
         for ring in range(1, reach + 1):
@@ -193,7 +193,7 @@ def _follow(
                 break
         if chosen < 0:
             return length, False
-        _eliminate(table, places, alive, here, chosen, length == 1)
+        _eliminate(table, places, alive, here, chosen, length)
         alive[chosen] = False
         path[length] = chosen
         length += 1
@@ -201,9 +201,7 @@ def _follow(
 
 
 @njit(cache=True)
-def _is_back(
-    places: IntArray, planar: FloatArray, path: IntArray, length: int, ring: int
-) -> bool:
+def _is_back(places: IntArray, planar: FloatArray, path: IntArray, length: int, ring: int) -> bool:
     here, goal = path[length - 1], path[0]
     away = max(abs(places[goal, 0] - places[here, 0]), abs(places[goal, 1] - places[here, 1]))
     if away > ring:
@@ -261,7 +259,7 @@ def _ahead(planar: FloatArray, path: IntArray, length: int, cell: int) -> float:
 
 @njit(cache=True)
 def _eliminate(
-    table: IntArray, places: IntArray, alive: BoolArray, here: int, chosen: int, first: bool
+    table: IntArray, places: IntArray, alive: BoolArray, here: int, chosen: int, length: int
 ) -> None:
     """Eliminate the macro-region of `here`; at the first step only where it touches `chosen`."""
     row, column = places[here]
@@ -271,5 +269,5 @@ def _eliminate(
             if cell < 0:
                 continue
             beside = abs(i - places[chosen, 0]) <= 1 and abs(j - places[chosen, 1]) <= 1
-            if beside or not first:
+            if beside or length > 1:
                 alive[cell] = False

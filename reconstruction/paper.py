@@ -71,9 +71,7 @@ class Base:
     reference_x_mm: float
 
 
-def draw_sections(
-    slices: Iterable[Slice], settings: PaperSettings
-) -> Iterator[Section | Skipped]:
+def draw_sections(slices: Iterable[Slice], settings: PaperSettings) -> Iterator[Section | Skipped]:
     """Turn slices into sections, one by one, as they come."""
     base: Base | None = None
     for piece in slices:
@@ -85,9 +83,7 @@ def draw_sections(
             yield section
 
 
-def draw_section(
-    piece: Slice, settings: PaperSettings, base: Base | None
-) -> tuple[Section, Base]:
+def draw_section(piece: Slice, settings: PaperSettings, base: Base | None) -> tuple[Section, Base]:
     """Turn one slice into a section.
 
     Parameters
@@ -113,7 +109,7 @@ def draw_section(
     thickness, resolution, contour = draw_contour(planar, settings)
     reference_x = base.reference_x_mm if base else float(contour.points_mm[:, 0].mean())
     contour = number_contour(contour, reference_x_mm=reference_x)
-    flat = periodic_uniform(contour.points_mm)
+    flat = draw_curve(contour)
     length = float(measure_lengths(flat)[1][-1])
     count, base = _apply_base_rule(len(contour.points_mm), length, reference_x, base, settings)
     final = reknot(flat, count)
@@ -183,6 +179,16 @@ def draw_contour(
             f"a section needs {_FEWEST_CELLS}"
         )
     return thickness, resolution, contour
+
+
+def draw_curve(contour: Contour) -> Curve:
+    """Draw the NURBS curve that has the centres of mass as its control points (Fig. 3), in 2D.
+
+    A uniform cubic of weights one, closed on itself. The curve at parameter k is nearest to
+    centre k: (P[k-1] + 4 P[k] + P[k+1]) / 6.
+    """
+    # A periodic cubic begins at its second control point; so the last centre is put first.
+    return periodic_uniform(np.roll(contour.points_mm, 1, axis=0))
 
 
 def _apply_base_rule(

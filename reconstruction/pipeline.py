@@ -117,7 +117,9 @@ def loft(
 
 
 def _explain(sections: list[Section], skipped: list[Skipped]) -> str:
-    found = f"{len(sections)} of {len(sections) + len(skipped)} slices gave a section, two are needed"
+    found = (
+        f"{len(sections)} of {len(sections) + len(skipped)} slices gave a section, two are needed"
+    )
     if not skipped:
         return f"{found}: choose a smaller --spacing-mm"
     fullest = max(skipped, key=lambda each: each.points)

@@ -14,7 +14,7 @@ from reconstruction.resolution import Resolution
 from reconstruction.slices import Frame
 from reconstruction.thickness import Thickness
 
-_BINS = 101
+_BINS = 2001  # fine, because the range that will matter is not known beforehand
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +57,7 @@ class Residual:
 
 
 def measure_residual(distances_mm: FloatArray, *, range_mm: float) -> Residual:
-    """Sum up signed distances (n,); the histogram spans -range to range in 101 bins."""
+    """Sum up signed distances (n,); the histogram spans -range to range in 2001 bins."""
     edges = np.linspace(-range_mm, range_mm, _BINS + 1)
     inside = np.clip(distances_mm, -range_mm, range_mm)
     bins, _ = np.histogram(inside, bins=edges)

@@ -43,9 +43,13 @@ class Cutting:
 
     def slices(self) -> Iterator[Slice]:
         """The slices from the lowest up, empty ones too; may be called again."""
-        starts = np.concatenate([[0], np.cumsum(self.counts)])
-        for index, (start, stop) in enumerate(zip(starts[:-1], starts[1:], strict=True)):
-            yield Slice(index, self.pile.read(int(start), int(stop)), self.frame(index))
+        return (self.slice_at(index) for index in range(len(self.counts)))
+
+    def slice_at(self, index: int) -> Slice:
+        """One slice by its number."""
+        start = int(self.counts[:index].sum())
+        points = self.pile.read(start, start + int(self.counts[index]))
+        return Slice(index, points, self.frame(index))
 
     def frame(self, index: int) -> Frame:
         """Frame of a slice: axes cyclic from the stacking axis, origin at its middle height."""
@@ -179,14 +183,16 @@ def _sort_into_pile(
         if crop is not None:
             outside = ~((chunk >= crop.low_mm) & (chunk <= crop.high_mm)).all(axis=1)
             aside[Aside.CROPPED].add(chunk[outside])
-            chunk = chunk[~outside]  # noqa: PLW2901
+            inside = chunk[~outside]
+        else:
+            inside = chunk
         places = _classify(
-            np.ascontiguousarray(chunk), *_grid(keep), *_levels(spacing, axis), len(levels)
+            np.ascontiguousarray(inside), *_grid(keep), *_levels(spacing, axis), len(levels)
         )
         for reason in (Aside.STRAY, Aside.PLATE):
-            aside[reason].add(chunk[places == -reason])
+            aside[reason].add(inside[places == -reason])
         order, starts = _order_by_level(places, len(levels))
-        sorted_mm = chunk[order]
+        sorted_mm = inside[order]
         for level in np.flatnonzero(np.diff(starts)):
             segment = sorted_mm[starts[level] : starts[level + 1]]
             pile.write(int(cursors[level]), segment)
@@ -255,7 +261,7 @@ class _Pile:
             self._memory[start : start + len(points)] = points
         elif self._file is not None:
             self._file.seek(24 * start)
-            _write_all(self._file, memoryview(np.ascontiguousarray(points)).cast("B"))
+            _write_all(self._file, np.ascontiguousarray(points).data.cast("B"))
 
     def read(self, start: int, stop: int) -> FloatArray:
         if self._memory is not None:
@@ -264,10 +270,11 @@ class _Pile:
         self._file.seek(24 * start)
         points = np.empty((stop - start, 3))
         if len(points):
-            self._file.readinto(memoryview(points).cast("B"))  # type: ignore[attr-defined]
+            self._file.readinto(points.data.cast("B"))  # type: ignore[attr-defined]
         return points
 
 
 def _write_all(file: BinaryIO, data: memoryview) -> None:
+    # An unbuffered write may take less than it was given.
     while data:
         data = data[file.write(data) :]

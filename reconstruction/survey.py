@@ -178,7 +178,8 @@ def _gather_rows(step_mm: float, survey: Survey, axis: Axis, extent_mm: float) -
     The outline is taken for that of an ellipse in the part's bounding rectangle.
     """
     planar = survey.sample_mm[:, axis.planar[:2]]
-    outline = math.pi / 2.0 * float(np.ptp(np.percentile(planar, [0.5, 99.5], axis=0), axis=0).sum())
+    sides = np.ptp(np.percentile(planar, [0.5, 99.5], axis=0), axis=0)
+    outline = math.pi / 2.0 * float(sides.sum())
     points_a_row = max(1.0, survey.points * step_mm / extent_mm)
     together = math.ceil(math.sqrt(0.5 * outline / points_a_row / step_mm))
     most = max(1, int(extent_mm / step_mm / _LEAST_SLICES))

@@ -76,7 +76,7 @@ def estimate_thickness(planar_mm: FloatArray, *, seed: int = 0) -> Thickness:
     return Thickness(
         sigma_mm=float(sigma),
         radius_mm=float(1.0 / curvature) if curvature > 0 else math.inf,
-        spacing_mm=float(np.median(distances[:, 1])),
+        spacing_mm=float(np.median(np.asarray(distances)[:, 1])),
     )
 
 

@@ -1,0 +1,45 @@
+# Everything a person or a CI job types. Each target sets a fresh machine up by itself.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+export NUMBA_CACHE_DIR ?= $(CURDIR)/$(VENV)/numba-cache
+
+.PHONY: help setup demo test check paper bench clean
+
+help:
+	@echo "make setup   environment in $(VENV) with every extra, system libraries where it may"
+	@echo "make demo    reconstruct a noisy, gappy vase; look at demo-out/report.html"
+	@echo "make test    all tests"
+	@echo "make check   ruff, format, mypy, import contracts"
+	@echo "make paper   reproduce the paper's figures into docs/paper/"
+	@echo "make bench   tables of speed, beside the peers"
+
+setup: $(READY)
+
+$(READY): pyproject.toml tools/setup.sh
+	PYTHON="$(PYTHON)" VENV="$(VENV)" sh tools/setup.sh
+	@touch $@
+
+demo: setup
+	$(BIN)/loftscan demo --out demo-out --overwrite
+
+test: setup
+	$(BIN)/python -m pytest -q -n auto
+
+check: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+paper: setup
+	$(BIN)/python docs/paper/reproduce.py
+
+bench: setup
+	$(BIN)/pip install --quiet --group bench || echo "open3d-cpu is not available here: its columns stay empty"
+	for each in benchmarks/*.py; do echo "== $$each"; $(BIN)/python $$each || exit 1; done
+
+clean:
+	rm -rf $(VENV) demo-out build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

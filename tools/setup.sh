@@ -1,0 +1,30 @@
+#!/bin/sh
+# Sets a fresh machine up: an environment in $VENV with every extra and the development tools, and
+# the two system libraries that pymeshlab needs, where this user may install them.
+set -eu
+
+venv=${VENV:-.venv}
+python=${PYTHON:-python3}
+
+if ! "$python" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))'; then
+    echo "loftscan needs Python 3.11 to 3.13; name one: make setup PYTHON=python3.12" >&2
+    exit 1
+fi
+
+has_library() {
+    "$python" -c "import ctypes.util, sys; sys.exit(ctypes.util.find_library('$1') is None)"
+}
+
+if ! { has_library GL && has_library OpenGL; }; then
+    if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
+        apt-get update -qq
+        DEBIAN_FRONTEND=noninteractive apt-get install -y -qq libgl1 libopengl0 >/dev/null
+    else
+        echo "note: mesh cleanup needs two system libraries: apt-get install libgl1 libopengl0" >&2
+    fi
+fi
+
+[ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
+# Dependency groups need pip 25.1.
+"$venv/bin/python" -m pip install --quiet --upgrade 'pip>=25.1'
+"$venv/bin/python" -m pip install --quiet --editable '.[all]' --group dev
