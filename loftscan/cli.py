@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import sys
 from collections.abc import Callable
 from enum import Enum
@@ -77,14 +78,14 @@ def reconstruct(
     def work() -> None:
         from loftscan.progress import bars
         from loftscan.reconstructing import reconstruct_with
-        from loftscan.result import check_output, choose_formats
+        from loftscan.result import check_output
 
         settings = _settings(
             method, axis, unit, spacing_mm, resolution_mm, tolerance_mm, crop, intermediate,
             remesh_mm, decimate_faces,
         )  # fmt: skip
         # Refused before the work, not after it.
-        wanted = choose_formats(formats.split(",") if formats is not None else None)
+        wanted = _formats(formats)
         check_output(out, overwrite=overwrite)
         with bars(json_lines=json_lines) as progress:
             result = reconstruct_with(source, settings, progress=progress)
@@ -109,12 +110,12 @@ def compare(
     """Measure how far A lies from B: deviation map, statistics, verdict (exit 1 if out)."""
 
     def work() -> None:
-        from loftscan.comparing import compare_things
+        from loftscan.comparing import MARKS, compare_things
         from loftscan.inputs import Unit
         from loftscan.result import check_output
         from reconstruction.comparison import Align
 
-        check_output(out, overwrite=overwrite, marks=("comparison.json", "deviation.ply"))
+        check_output(out, overwrite=overwrite, marks=MARKS)
         found = compare_things(
             a, b,
             align=_choice(Align, align, "--align"),
@@ -131,6 +132,12 @@ def compare(
                 f"rms {numbers.rms_mm:.4g} mm, mean {numbers.mean_mm:+.4g} mm, "
                 f"95 % within {numbers.absolute_95_mm:.4g} mm, {numbers.count} points"
             )
+            aligned = found.deviation.alignment
+            if aligned is not None:
+                print(
+                    f"aligned by best fit: turned by {math.degrees(aligned.rotation_rad):.4g}°, "
+                    f"moved by {aligned.translation_mm:.4g} mm; comparison.json has the transform"
+                )
             print(f"report: {out / 'report.html'}")
         if verdict is not None and not verdict.within:
             _fail(1, f"out of tolerance: {verdict.share_within:.2%} within {tolerance_mm:g} mm")
@@ -141,7 +148,7 @@ def compare(
 @app.command()
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for the result.")] = Path("demo-out"),
-    seed: Annotated[int, typer.Option(help="Of the noise.")] = 20,
+    seed: Annotated[int, typer.Option(help="Of the noise.", min=0)] = 20,
     overwrite: Overwrite = False,
     json_lines: JsonLines = False,
     debug: Debug = False,
@@ -152,12 +159,13 @@ def demo(
         from loftscan.demo import make_cloud
         from loftscan.progress import bars
         from loftscan.reconstructing import Settings, reconstruct_with
-        from loftscan.result import check_output, choose_formats
+        from loftscan.result import check_output
 
+        wanted = _formats(None)
         check_output(out, overwrite=overwrite)
         with bars(json_lines=json_lines) as progress:
             result = reconstruct_with(make_cloud(seed), Settings(), progress=progress, name="vase")
-            _save(result, out, choose_formats(None), progress, overwrite=overwrite)
+            _save(result, out, wanted, progress, overwrite=overwrite)
         _tell(result, out, json_lines=json_lines)
 
     _run(work, debug=debug)
@@ -180,6 +188,10 @@ def _settings(
     from reconstruction.cleanup import CleanupSettings
     from reconstruction.survey import Axis
 
+    if remesh_mm is not None and not 0.0 < remesh_mm < math.inf:
+        raise ValueError(f"--remesh-mm {remesh_mm:g}: a length above 0 mm is expected")
+    if decimate_faces is not None and decimate_faces < 4:
+        raise ValueError(f"--decimate-faces {decimate_faces}: a closed mesh has at least 4")
     return Settings(
         method=_choice(Method, method, "--method"),
         axis=_choice(Axis, axis, "--axis"),
@@ -191,6 +203,23 @@ def _settings(
         intermediate=intermediate,
         cleanup=CleanupSettings(remesh_edge_mm=remesh_mm, decimate_to_faces=decimate_faces),
     )
+
+
+def _formats(wanted: str | None) -> tuple[str, ...]:
+    """The formats to write; those that cannot be written by default are said."""
+    from loftscan.result import FORMATS, choose_formats
+
+    if wanted is not None:
+        return choose_formats(wanted.split(","))
+    chosen = choose_formats(None)
+    left_out = [each for each in FORMATS if each not in chosen]
+    if left_out:
+        typer.echo(
+            f"warning: {' and '.join(left_out)} left out, their libraries are not installed: "
+            "pip install 'loftscan[cad]'",
+            err=True,
+        )
+    return chosen
 
 
 def _choice(names: type[Choice], wanted: str, option: str) -> Choice:
@@ -229,6 +258,9 @@ def _tell(result: Result, out: Path, *, json_lines: bool) -> None:
         f"residual rms {numbers['residual_rms_mm']:.3g} mm of {numbers['residual_points']} points, "
         f"cloud width {numbers['thickness_mm']:.3g} mm"
     )
+    verdict = result.deviation.verdict
+    if verdict is not None:
+        print(f"tolerance: {verdict.share_within:.2%} within {verdict.tolerance_mm:g} mm")
     print(f"time: {numbers['seconds']:.1f} s, peak memory {numbers['peak_memory_mb']:.0f} MB")
     print(f"report: {out / 'report.html'}")
 
@@ -259,11 +291,18 @@ def _run(work: Callable[[], None], *, debug: bool) -> None:
     except MemoryError as error:
         if debug:
             raise
-        _fail(1, f"out of memory ({error}); use a larger --spacing-mm, or --crop")
+        remedy = "use a larger --resolution-mm or --spacing-mm, less --intermediate, or --crop"
+        _fail(1, f"out of memory ({error}); {remedy}")
     except OSError as error:
         if debug:
             raise
         _fail(1, _explain(error))
+
+
+_UNWRITABLE = {
+    *(errno.EACCES, errno.EPERM, errno.EROFS),
+    *(errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG, errno.ELOOP),
+}
 
 
 def _explain(error: OSError) -> str:
@@ -272,7 +311,7 @@ def _explain(error: OSError) -> str:
         return (
             f"{where}the disk is full; free some space and run again, nothing half-written is left"
         )
-    if error.errno in {errno.EACCES, errno.EPERM, errno.EROFS}:
+    if error.errno in _UNWRITABLE:
         return f"{where}{error.strerror}; name a folder that may be written as --out"
     return f"{where}{error.strerror or error}"
 

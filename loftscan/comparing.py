@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,13 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loftscan.inputs import Unit, open_input
-from loftscan.result import check_output
+from loftscan.result import appearing_whole
 from reconstruction.arrays import FloatArray
 from reconstruction.comparison import Align, Deviation, compare_clouds, compare_to_mesh
 from reconstruction.errors import UnreadableCloud
 from reconstruction.meshing import Mesh
 
 MESHES = (".stl", ".obj", ".off", ".ply")
+MARKS = ("comparison.json", "deviation.ply")  # files that tell the folder of a comparison
 _RESULT_MESH = "mesh.ply"
 
 
@@ -100,20 +100,11 @@ class Comparison:
         from loftscan.comparison_report import write_comparison_report
 
         target = Path(folder)
-        check_output(target, overwrite=overwrite, marks=("comparison.json", "deviation.ply"))
-        partial = target.with_name(f".{target.name}.partial")
-        shutil.rmtree(partial, ignore_errors=True)
-        try:
-            partial.mkdir(parents=True)
+        with appearing_whole(target, overwrite=overwrite, marks=MARKS) as partial:
             text = json.dumps(self.metrics, indent=2) + "\n"
             (partial / "comparison.json").write_text(text, encoding="utf-8")
             _write_deviation(partial / "deviation.ply", self)
             write_comparison_report(partial / "report.html", self)
-            if target.exists():
-                shutil.rmtree(target)
-            partial.rename(target)
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
         return target
 
 
@@ -176,6 +167,10 @@ def _has_faces(path: Path) -> bool:
     )
 
 
+# Of rubbish trimesh makes any of these, ImportError where it would guess a text's encoding.
+_MISREAD = (ValueError, IndexError, KeyError, TypeError, AttributeError, ImportError, OSError)
+
+
 def _open_mesh(path: Path, name: str, unit: Unit) -> Thing:
     import trimesh
 
@@ -184,9 +179,10 @@ def _open_mesh(path: Path, name: str, unit: Unit) -> Thing:
         loaded = trimesh.load_mesh(path, process=False)
         loaded.merge_vertices(merge_tex=True, merge_norm=True)
         vertices, faces = np.asarray(loaded.vertices, float), np.asarray(loaded.faces)
-    except (ValueError, IndexError, KeyError, TypeError, AttributeError, OSError) as error:
+    except _MISREAD as error:
+        why = " ".join(str(error).split()) or "it is damaged"
         raise UnreadableCloud(
-            f"{path}: is no mesh that can be read ({str(error).splitlines()[0]}); export it again"
+            f"{path}: is no mesh that can be read ({why}); export it again"
         ) from error
     if len(faces) == 0 or not np.isfinite(vertices).all():
         raise UnreadableCloud(f"{path}: has no faces, or vertices that are no numbers")

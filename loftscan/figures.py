@@ -76,7 +76,7 @@ def png(figure: Figure, *, dots_per_inch: float = _DOTS_PER_INCH) -> bytes:
     """Encode a figure as PNG bytes that depend on nothing but the figure."""
     stream = io.BytesIO()
     with mpl.rc_context(_STYLE):
-        options = {"compress_level": 6}
+        options = {"compress_level": 4}
         figure.savefig(stream, dpi=dots_per_inch, metadata={"Software": None}, pil_kwargs=options)
     return stream.getvalue()
 

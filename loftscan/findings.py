@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import groupby
 
 import numpy as np
 
 from loftscan.metrics import is_one_turn
 from reconstruction.pipeline import Reconstruction
-from reconstruction.sections import Section
+from reconstruction.sections import Section, Skipped
 from reconstruction.setting_aside import Aside
 from reconstruction.slicing import Cutting
 
@@ -43,9 +43,9 @@ def _left_out(sections: Iterable[Section]) -> str | None:
         return None
     points = sum(section.left_out for section in named)
     return (
-        f"{points} points in slices {spans(s.index for s in named)} belong to something beside the "
-        "section's contour and are left out: the paper's method draws one contour a slice, so a "
-        "second one (a handle, a wing, the inside of a rim) is drawn in the report but not made"
+        f"{points} points in {_numbered('slice', named)} belong to something beside the section's "
+        "contour and are left out: the paper's method draws one contour a slice, so a second one "
+        "(a handle, a wing, the inside of a rim) is drawn in the report but not made"
     )
 
 
@@ -54,8 +54,8 @@ def _wide_gaps(sections: Iterable[Section]) -> str | None:
     if not named:
         return None
     return (
-        f"sections {spans(s.index for s in named)} are synthetic over more than a quarter of their "
-        "length: gaps were bridged or an open run was closed; do not measure there"
+        f"{_numbered('section', named)}: synthetic over more than a quarter of the length, where "
+        "gaps were bridged or an open run was closed; do not measure there"
     )
 
 
@@ -64,16 +64,20 @@ def _crossing(sections: Iterable[Section]) -> str | None:
     if not named:
         return None
     return (
-        f"sections {spans(s.index for s in named)} do not go round once: the macro-region walk "
-        "took points of two contours for one; try a larger --resolution-mm, or --crop"
+        f"{_numbered('section', named)}: the contour does not go round once, because the "
+        "macro-region walk took points of two contours for one; try a larger --resolution-mm, "
+        "or --crop"
     )
 
 
 def _skipped(done: Reconstruction) -> str | None:
     if not done.skipped:
         return None
-    named = spans(each.index for each in done.skipped)
-    return f"slices {named} gave no section ({done.skipped[0].reason}) and are bridged or cut off"
+    fullest = max(done.skipped, key=lambda each: each.points)
+    return (
+        f"{_numbered('slice', done.skipped)}: no section, so bridged or cut off "
+        f"(slice {fullest.index}: {fullest.reason})"
+    )
 
 
 def _lying(cutting: Cutting, sections: Iterable[Section]) -> str | None:
@@ -83,6 +87,11 @@ def _lying(cutting: Cutting, sections: Iterable[Section]) -> str | None:
         return None
     axis = cutting.axis.value
     return f"most sections are open: was the part turned about another axis than --axis {axis}?"
+
+
+def _numbered(noun: str, things: Sequence[Section] | Sequence[Skipped]) -> str:
+    plural = "s" if len(things) > 1 else ""
+    return f"{noun}{plural} {spans(each.index for each in things)}"
 
 
 def spans(indices: Iterable[int]) -> str:

@@ -21,6 +21,7 @@ from reconstruction.clouds import Cloud, array_cloud, open_cloud
 from reconstruction.reduction import Box
 
 _IN_MEMORY = 4_000_000  # points, 96 MB
+_TYPICAL_MM = 100.0
 _IMPLAUSIBLE_MM = (0.1, 5_000.0)  # a part on a lab station is neither dust nor a car
 
 
@@ -44,7 +45,7 @@ class Input:
     """A cloud in millimetres and where it came from; a context, because it may hold a file.
 
     The first pass parses the file; small clouds are then held in memory and large text files in a
-    temporary binary one, so that no number is parsed twice. Large binary files are read again.
+    temporary binary one, so that no number is parsed twice. Large binary files are read anew.
     """
 
     cloud: Cloud
@@ -72,35 +73,45 @@ class Input:
 
     def chunks(self) -> Iterator[FloatArray]:
         """Pass over the points once, (k, 3) at a time, in mm."""
+        if self._held is None and self._is_quick_to_read():
+            yield from self._read()
+            return
         if self._held is None:
             self._hold()
-        source = self._held or self.cloud
-        scale = self.unit.in_mm
-        for chunk in source.chunks():
-            # What is held was scaled already.
-            plain = self._held is not None or scale == 1.0
-            yield chunk.points if plain else chunk.points * scale
+        assert self._held is not None
+        for chunk in self._held.chunks():
+            yield chunk.points
+
+    def _is_quick_to_read(self) -> bool:
+        """Whether the file itself is as good as a copy: large, and binary."""
+        large = (self.cloud.point_count or 0) > _IN_MEMORY
+        return large and self.cloud.path is not None and not _is_text(self.cloud)
+
+    def _read(self) -> Iterator[FloatArray]:
+        """Pass over the cloud in mm; the counts are those of the latest whole pass."""
+        points = invalid = 0
+        for chunk in self.cloud.chunks():
+            points += len(chunk.points)
+            invalid += chunk.skipped
+            yield chunk.points * self.unit.in_mm
+        self.points, self.invalid = points, invalid
 
     def _hold(self) -> None:
-        """Read the cloud once: count it and keep it where it can be read quickly."""
+        """Read the cloud once and keep it: in memory, or from 4 million points on in a file."""
         kept: list[FloatArray] = []
+        held = 0
         spill: Path | None = None
-        parsed = self.cloud.path is not None and _is_text(self.cloud)
-        for chunk in self.cloud.chunks():
-            self.points += len(chunk.points)
-            self.invalid += chunk.skipped
-            kept.append(chunk.points * self.unit.in_mm)
-            if self.points > _IN_MEMORY:
-                if not parsed:
-                    kept.clear()
-                    continue
+        for chunk in self._read():
+            kept.append(chunk)
+            held += len(chunk)
+            if held > _IN_MEMORY:
                 spill = spill or self._temporary()
                 _append(spill, kept)
                 kept.clear()
-        if spill is not None:
-            self._held = _reopen(spill, self.points)
-        elif self.points <= _IN_MEMORY:
+        if spill is None:
             self._held = array_cloud(_read_only(np.concatenate(kept)))
+        else:
+            self._held = _reopen(spill, self.points)
 
     def _temporary(self) -> Path:
         folder = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="loftscan-"))
@@ -157,14 +168,11 @@ def judge_size(box: Box, unit: Unit) -> str | None:
     low, high = _IMPLAUSIBLE_MM
     if low <= widest <= high:
         return None
-    guess = next((u for u in Unit if low <= widest / unit.in_mm * u.in_mm <= high), None)
-    remedy = (
-        f"; --unit {guess.value} would make it {widest / unit.in_mm * guess.in_mm:.4g} mm"
-        if guess
-        else ""
-    )
+    sizes = {each: widest / unit.in_mm * each.in_mm for each in Unit}
+    guess = min(sizes, key=lambda each: abs(math.log(sizes[each] / _TYPICAL_MM)))
     return (
-        f"the part is {_readable(widest)} wide in --unit {unit.value}: is the unit right?{remedy}"
+        f"the part is {_readable(widest)} wide in --unit {unit.value}, is that right? "
+        f"With --unit {guess.value} it would be {_readable(sizes[guess])}"
     )
 
 

@@ -20,6 +20,7 @@ from loftscan.result import Result
 from reconstruction.arrays import FloatArray
 from reconstruction.cleanup import CleanupSettings
 from reconstruction.comparison import Deviation, compare_to_mesh
+from reconstruction.errors import TooFewPoints
 from reconstruction.paper import PaperSettings
 from reconstruction.pipeline import Reconstruction, reconstruct_paper
 from reconstruction.reduction import Box
@@ -96,9 +97,7 @@ def reconstruct_with(
     with open_input(source, settings.unit) as opened:
         with clock.stage("slicing"):
             progress("slicing", 0, opened.cloud.point_count or 0)
-            cutting = cut_cloud(
-                opened.chunks, settings.axis, spacing_mm=settings.spacing_mm, crop=settings.crop
-            )
+            cutting = _cut(opened, settings)
             progress("slicing", opened.points, opened.points)
         collector = _Collector(int(cutting.counts.sum()))
         with clock.stage("sections"):
@@ -111,6 +110,16 @@ def reconstruct_with(
             progress("comparison", 1, 1)
         title = name or Path(opened.name).stem
         return _conclude(title, opened, cutting, done, collector.points, deviation, settings, clock)
+
+
+def _cut(opened: Input, settings: Settings) -> Cutting:
+    try:
+        return cut_cloud(
+            opened.chunks, settings.axis, spacing_mm=settings.spacing_mm, crop=settings.crop
+        )
+    except TooFewPoints as few:
+        inside = "" if settings.crop is None else " inside --crop"
+        raise TooFewPoints(f"{opened.name}{inside}: {few}") from few
 
 
 def _draw(

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
+from loftscan.cad_files import written_beside
 from reconstruction.arrays import FloatArray
 from reconstruction.comparison import Deviation
 from reconstruction.errors import MissingExtra
@@ -17,10 +21,8 @@ from reconstruction.exporting import (
     write_glb,
     write_ply,
     write_sections_json,
-    write_step,
     write_stl,
     write_surface_json,
-    write_threedm,
 )
 from reconstruction.meshing import Mesh
 from reconstruction.nurbs import Surface
@@ -30,6 +32,12 @@ from reconstruction.slicing import Cutting
 
 FORMATS = ("step", "3dm", "stl", "ply", "glb")
 _LIBRARY_OF = {"step": "OCP", "3dm": "rhino3dm"}
+MARKS = ("metrics.json", "provenance.json")  # files that tell a result folder
+_OURS = {
+    *("surface.json", "surface.step", "surface.3dm", "sections.json", "report.html"),
+    *("mesh.stl", "mesh.stl.unit.txt", "mesh.ply", "mesh.glb"),
+    *("metrics.json", "provenance.json", "comparison.json", "deviation.ply"),
+}
 _SIDECAR = "mesh.stl carries no unit; its coordinates are millimetres.\n"
 
 
@@ -88,54 +96,33 @@ class Result:
         OSError
             For example a full disk; then nothing half-written is left.
         """
-        target = Path(folder)
-        chosen = choose_formats(formats)
-        check_output(target, overwrite=overwrite)
-        partial = target.with_name(f".{target.name}.partial")
-        shutil.rmtree(partial, ignore_errors=True)
-        try:
-            partial.mkdir(parents=True)
-            for write in self._writers(partial, chosen):
-                write()
-            if target.exists():
-                shutil.rmtree(target)
-            partial.rename(target)
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
-        return target
-
-    def _writers(self, folder: Path, formats: tuple[str, ...]) -> Iterable[Callable[[], object]]:
         from loftscan.reporting import write_result_report
 
-        name, provenance = self.name, self.provenance
-        yield lambda: write_surface_json(
-            folder / "surface.json", self.surface, name=name, provenance=provenance
-        )
-        yield lambda: write_sections_json(
-            folder / "sections.json", self._records(), name=name, provenance=provenance
-        )
-        curves = [section.curve for section in self.sections]
-        by_format: dict[str, Callable[[], object]] = {
-            "step": lambda: write_step(
-                folder / "surface.step", self.surface, name=name, provenance=provenance
-            ),
-            "3dm": lambda: write_threedm(
-                folder / "surface.3dm", self.surface, curves, name=name, provenance=provenance
-            ),
-            "stl": lambda: write_stl(folder / "mesh.stl", self.mesh, name=name),
-            "ply": lambda: write_ply(
-                folder / "mesh.ply", self.mesh, name=name, provenance=provenance
-            ),
-            "glb": lambda: write_glb(
-                folder / "mesh.glb", self.mesh, name=name, provenance=provenance
-            ),
-        }
-        yield from (by_format[each] for each in formats)
+        target = Path(folder)
+        chosen = choose_formats(formats)
+        with appearing_whole(target, overwrite=overwrite) as partial:
+            self._write_json_files(partial)
+            with written_beside(partial, chosen, name=self.name):
+                self._write_meshes(partial, chosen)
+                write_result_report(partial / "report.html", self)
+        return target
+
+    def _write_json_files(self, folder: Path) -> None:
+        name, said = self.name, self.provenance
+        write_surface_json(folder / "surface.json", self.surface, name=name, provenance=said)
+        write_sections_json(folder / "sections.json", self._records(), name=name, provenance=said)
+        _write_json(folder / "metrics.json", self.metrics)
+        _write_json(folder / "provenance.json", self.provenance)
+
+    def _write_meshes(self, folder: Path, formats: tuple[str, ...]) -> None:
+        mesh, name = self.mesh, self.name
         if "stl" in formats:
-            yield lambda: (folder / "mesh.stl.unit.txt").write_text(_SIDECAR)
-        yield lambda: _write_json(folder / "metrics.json", self.metrics)
-        yield lambda: _write_json(folder / "provenance.json", provenance)
-        yield lambda: write_result_report(folder / "report.html", self)
+            write_stl(folder / "mesh.stl", mesh, name=name)
+            (folder / "mesh.stl.unit.txt").write_text(_SIDECAR, encoding="utf-8")
+        if "ply" in formats:
+            write_ply(folder / "mesh.ply", mesh, name=name, provenance=self.provenance)
+        if "glb" in formats:
+            write_glb(folder / "mesh.glb", mesh, name=name, provenance=self.provenance)
 
     def _records(self) -> list[SectionRecord]:
         return [
@@ -157,26 +144,79 @@ def _write_json(path: Path, content: dict[str, object]) -> None:
     path.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
-def check_output(
-    target: Path,
-    *,
-    overwrite: bool,
-    marks: tuple[str, ...] = ("metrics.json", "provenance.json"),
-) -> None:
-    """Refuse an output folder that holds something; with `overwrite`, unless it holds `marks`.
+@contextmanager
+def appearing_whole(
+    target: Path, *, overwrite: bool, marks: tuple[str, ...] = MARKS
+) -> Iterator[Path]:
+    """Make a folder to fill; it takes the name `target` only when the block ends well.
+
+    Whatever ends the block early leaves nothing behind, and an older result as it was.
 
     Raises
     ------
     OutputExists
+        As `check_output`.
+    OSError
+        For example a full disk; it names `target`.
     """
+    check_output(target, overwrite=overwrite, marks=marks)
+    place = target.resolve()
+    partial = place.with_name(f".{place.name}.partial")
+    missing = [parent for parent in place.parents if not parent.exists()]
+    shutil.rmtree(partial, ignore_errors=True)
+    try:
+        partial.mkdir(parents=True)
+        yield partial
+        if place.exists():
+            shutil.rmtree(place)
+        partial.rename(place)
+    except OSError as error:
+        # The person knows the target's name, not that of the partial folder.
+        if error.filename is None or Path(error.filename).is_relative_to(partial):
+            error.filename = str(target)
+        raise
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+        for parent in missing:
+            with suppress(OSError):  # it holds the result, or was never made
+                parent.rmdir()
+
+
+def check_output(target: Path, *, overwrite: bool, marks: tuple[str, ...] = MARKS) -> None:
+    """Refuse an output folder that cannot be made, or holds something.
+
+    With `overwrite` it may hold a result, which has the files `marks`, and nothing else.
+
+    Raises
+    ------
+    OutputExists, PermissionError
+    """
+    if target.name in {"", ".."}:
+        raise OutputExists(f"{target}: the result needs a folder of its own; name a new --out")
     if target.exists() and not target.is_dir():
         raise OutputExists(f"{target}: is a file, not a folder; name another --out")
+    _check_place(target)
     if not target.exists() or not any(target.iterdir()):
         return
     if not overwrite:
         raise OutputExists(f"{target}: is there already; name another --out, or add --overwrite")
     if not all((target / mark).exists() for mark in marks):
         raise OutputExists(f"{target}: holds no result of loftscan, so it is not overwritten")
+    foreign = sorted(path.name for path in target.iterdir() if path.name not in _OURS)
+    if foreign:
+        raise OutputExists(
+            f"{target}: holds {foreign[0]} beside the result, so it is not overwritten; "
+            "move that away, or name another --out"
+        )
+
+
+def _check_place(target: Path) -> None:
+    """Refuse before the work what would fail after it."""
+    place = next(path for path in target.resolve().parents if path.exists())
+    if not place.is_dir():
+        raise OutputExists(f"{target}: {place.name} is a file, not a folder; name another --out")
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise PermissionError(errno.EACCES, "no permission to write there", str(target))
 
 
 def choose_formats(wanted: Iterable[str] | None) -> tuple[str, ...]:

@@ -136,16 +136,26 @@ def _side(x: float, y: float, corners: FloatArray, k: int) -> float:
     vx, vy = ux, uy
     px, py = a[0], a[1]
     if share <= 0.0:
-        before = corners[(k - 1) % count]
-        vx, vy = _bisect(a[0] - before[0], a[1] - before[1], ux, uy)
+        vx, vy = _bisect(_way(corners, k - 1, -1), _way(corners, k, 1))
     elif share >= ux * ux + uy * uy:
-        after = corners[(k + 2) % count]
-        vx, vy = _bisect(ux, uy, after[0] - b[0], after[1] - b[1])
+        vx, vy = _bisect(_way(corners, k, -1), _way(corners, k + 1, 1))
         px, py = b[0], b[1]
     return -1.0 if vx * (y - py) - vy * (x - px) > 0.0 else 1.0
 
 
 @njit(cache=True)
-def _bisect(ax: float, ay: float, bx: float, by: float) -> tuple[float, float]:
-    a, b = max(math.hypot(ax, ay), 1e-300), max(math.hypot(bx, by), 1e-300)
-    return ax / a + bx / b, ay / a + by / b
+def _way(corners: FloatArray, k: int, step: int) -> tuple[float, float]:
+    """Direction of segment k, or of the first one after it in steps that has a length."""
+    count = len(corners)
+    for n in range(k, k + step * count, step):
+        a, b = corners[n % count], corners[(n + 1) % count]
+        if a[0] != b[0] or a[1] != b[1]:
+            break
+    return b[0] - a[0], b[1] - a[1]
+
+
+@njit(cache=True)
+def _bisect(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
+    a = max(math.hypot(one[0], one[1]), 1e-300)
+    b = max(math.hypot(other[0], other[1]), 1e-300)
+    return one[0] / a + other[0] / b, one[1] / a + other[1] / b

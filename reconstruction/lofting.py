@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import BoolArray, FloatArray
 from reconstruction.correspondence import counts_between
 from reconstruction.errors import NotLoftable
 from reconstruction.meshing import Row
@@ -104,8 +104,14 @@ def _blend(before: Section, after: Section, intermediate: int) -> list[Row]:
     for k, count in enumerate(counts, start=1):
         share = k / (len(counts) + 1)
         points = (1.0 - share) * _resample(before, count) + share * _resample(after, count)
-        rows.append(Row(points, np.zeros(count, dtype=np.bool_)))
+        rows.append(Row(points, _carry_marks(before, count) | _carry_marks(after, count)))
     return rows
+
+
+def _carry_marks(section: Section, count: int) -> BoolArray:
+    """Marks of the nearest knot point for each of `count` points around the section."""
+    own = _count(section)
+    return np.asarray(section.synthetic[np.rint(np.arange(count) * own / count).astype(int) % own])
 
 
 def _spread_counts(before: int, after: int, rows: int) -> tuple[int, ...]:

@@ -197,7 +197,6 @@ def _follow(
         alive[chosen] = False
         path[length] = chosen
         length += 1
-    return length, False
 
 
 @njit(cache=True)

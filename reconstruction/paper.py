@@ -28,7 +28,7 @@ from reconstruction.errors import TooFewPoints
 from reconstruction.numbering import number_contour
 from reconstruction.nurbs import Curve, evaluate_curve, periodic_uniform
 from reconstruction.ordering import Contour, Walk, walk_contour
-from reconstruction.reduction import reduce_points
+from reconstruction.reduction import bounding_box, reduce_points
 from reconstruction.reknotting import map_gaps, measure_lengths, reknot
 from reconstruction.resolution import Resolution, choose_resolution
 from reconstruction.sections import Section, Skipped, measure_residual
@@ -38,6 +38,7 @@ from reconstruction.thickness import Thickness, estimate_thickness
 _FEWEST_POINTS = 8
 _FEWEST_CELLS = 4
 _STEPS_A_SPAN = 8  # of the polygon that stands for a curve when residuals are measured
+_GAP_CELLS = 2.5  # a bridged segment longer than this many cells is a gap
 _LEFT_OUT_CELLS = 3.0  # farther than this many cells a point belongs to something else
 _LEFT_OUT_DRAWN = 2_000
 
@@ -106,20 +107,24 @@ def draw_section(piece: Slice, settings: PaperSettings, base: Base | None) -> tu
     if len(piece.points_mm) < _FEWEST_POINTS:
         raise TooFewPoints(f"{len(piece.points_mm)} points, a section needs {_FEWEST_POINTS}")
     frame, planar = lay_plane(piece, settings.plane)
+    up = piece.frame.axes[2]
     thickness, resolution, contour = draw_contour(planar, settings)
     reference_x = base.reference_x_mm if base else float(contour.points_mm[:, 0].mean())
     contour = number_contour(contour, reference_x_mm=reference_x)
     flat = draw_curve(contour)
     length = float(measure_lengths(flat)[1][-1])
-    count, base = _apply_base_rule(len(contour.points_mm), length, reference_x, base, settings)
+    own = len(contour.points_mm)
+    count, kept = _apply_base_rule(own, length, reference_x, base, settings)
     final = reknot(flat, count)
-    gaps, gap_mm = map_gaps(flat, contour.bridged, count)
+    gaps, gap_mm = map_gaps(flat, find_gaps(contour, resolution), count)
     distances = _distances(planar[:, :2], final)
     far = np.abs(distances) > _LEFT_OUT_CELLS * resolution.cell_mm
     width = settings.residual_range_mm
     section = Section(
         index=piece.index,
         frame=frame,
+        # Of the middle, not of the origin: a tilted plane is at its height only where the part is.
+        height_mm=float(frame.to_part(contour.points_mm.mean(axis=0)[None])[0] @ up),
         points=len(piece.points_mm),
         thickness=thickness,
         resolution=resolution,
@@ -130,13 +135,13 @@ def draw_section(piece: Slice, settings: PaperSettings, base: Base | None) -> tu
         gaps=gaps,
         length_mm=length,
         gap_mm=gap_mm,
-        base=base.length_mm == length,
+        base=kept is not base,
         residual=measure_residual(distances[~far], range_mm=width),
         residual_all=measure_residual(distances, range_mm=width),
         left_out_mm=piece.points_mm[far][:_LEFT_OUT_DRAWN],
         left_out=int(far.sum()),
     )
-    return section, base
+    return section, kept
 
 
 def lay_plane(piece: Slice, rule: PlaneRule) -> tuple[Frame, FloatArray]:
@@ -161,17 +166,20 @@ def draw_contour(
     planar_mm: FloatArray, settings: PaperSettings
 ) -> tuple[Thickness, Resolution, Contour]:
     """Reduce the points of a plane (n, 3) to centres of mass and order those of the contour."""
+    box = bounding_box(planar_mm)
     thickness = estimate_thickness(planar_mm[:, :2])
     resolution = choose_resolution(
         thickness,
         sampling_mm=thickness.spacing_mm,
-        size_mm=float(np.ptp(planar_mm[:, :2], axis=0).max()),
+        size_mm=float(box.sides_mm[:2].max()),
         given_mm=settings.resolution_mm,
     )
     if resolution.cell_mm <= 0.0:
         raise TooFewPoints(f"all {len(planar_mm)} points lie in one place")
     side = resolution.cell_mm
-    cells = reduce_points(planar_mm, size_mm=(side, side, math.inf), origin_mm=np.zeros(3))
+    cells = reduce_points(
+        planar_mm, size_mm=(side, side, math.inf), origin_mm=np.zeros(3), within=box
+    )
     contour = walk_contour(cells, walk=settings.walk, reach_mm=settings.reach_mm)
     if len(contour.points_mm) < _FEWEST_CELLS:
         raise TooFewPoints(
@@ -189,6 +197,14 @@ def draw_curve(contour: Contour) -> Curve:
     """
     # A periodic cubic begins at its second control point; so the last centre is put first.
     return periodic_uniform(np.roll(contour.points_mm, 1, axis=0))
+
+
+def find_gaps(contour: Contour, resolution: Resolution) -> BoolArray:
+    """Which segments are gaps, (m,): bridged by the walk, and wider than one empty cell.
+
+    A step over a single empty cell is a hole in the lattice, not in the measurement.
+    """
+    return contour.bridged & (contour.segments_mm > _GAP_CELLS * resolution.cell_mm)
 
 
 def _apply_base_rule(

@@ -17,7 +17,8 @@ from reconstruction.paper import PaperSettings, draw_sections
 from reconstruction.sections import Residual, Section, Skipped
 from reconstruction.slices import Slice
 
-_GRAZING_SHARE = 0.25
+_GRAZING_SHARE = 1.0 / 3.0  # of its length that an end section may be synthetic
+_GRAZING_TIMES = 2.0  # and how much more synthetic than a typical section
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,12 +82,15 @@ def reconstruct_paper(
 def trim_ends(sections: list[Section]) -> tuple[list[Section], list[Skipped]]:
     """Take away end sections that are mostly bridged: there the slice only grazed the part.
 
-    Between others such a section is worth having; at an end it would become the cap.
+    Between others such a section is worth having; at an end it would become the cap. Where a
+    typical section has many gaps, too, an end one is only badly acquired, and stays.
     """
     trimmed: list[Skipped] = []
     kept = list(sections)
+    typical = float(np.median([each.gap_mm / each.length_mm for each in kept])) if kept else 0.0
+    limit = max(_GRAZING_SHARE, _GRAZING_TIMES * typical)
     for end in (0, -1):
-        while len(kept) > 2 and kept[end].gap_mm > _GRAZING_SHARE * kept[end].length_mm:
+        while len(kept) > 2 and kept[end].gap_mm > limit * kept[end].length_mm:
             section = kept.pop(end)
             share = section.gap_mm / section.length_mm
             reason = f"an end section, and synthetic over {share:.0%} of its length"

@@ -149,7 +149,8 @@ def _reduce_dense(points: FloatArray, lattice: _Lattice) -> tuple[IntArray, Floa
 
 
 def _reduce_sorted(points: FloatArray, lattice: _Lattice) -> tuple[IntArray, FloatArray]:
-    boxes = np.floor((points - lattice.corner_mm) * lattice.inverse)
+    with np.errstate(invalid="ignore"):  # an infinity in the one layer: refused below
+        boxes = np.floor((points - lattice.corner_mm) * lattice.inverse)
     inside = ((boxes >= 0) & (boxes < lattice.shape)).all(axis=1)
     occupied, box_of_point = np.unique(boxes[inside].astype(np.int64), axis=0, return_inverse=True)
     where = box_of_point.ravel()
@@ -174,8 +175,8 @@ def _bounds(points: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     return np.array([low_x, low_y, low_z]), np.array([high_x, high_y, high_z]), total
 
 
-# In both kernels one unsigned comparison an axis refuses what lies below or above the lattice (a NaN
-# converts to the least integer).
+# In both kernels one unsigned comparison an axis refuses what lies below or above the lattice
+# (a NaN converts to the least integer).
 
 
 @njit(cache=True, error_model="numpy")
@@ -191,8 +192,8 @@ def _accumulate_layer(
     shape_x, shape_y = np.uint64(shape[0]), np.uint64(shape[1])
     for n in range(len(points)):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        i = np.uint64(math.floor((x - corner_x) * inverse_x))
-        j = np.uint64(math.floor((y - corner_y) * inverse_y))
+        i = np.uint64(np.int64(np.floor((x - corner_x) * inverse_x)))
+        j = np.uint64(np.int64(np.floor((y - corner_y) * inverse_y)))
         if i < shape_x and j < shape_y:
             record = records[i * shape_y + j]
             record[0] += 1.0
@@ -212,9 +213,9 @@ def _accumulate_boxes(
     shape_x, shape_y, shape_z = np.uint64(shape[0]), np.uint64(shape[1]), np.uint64(shape[2])
     for n in range(len(points)):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        i = np.uint64(math.floor((x - corner[0]) * inverse[0]))
-        j = np.uint64(math.floor((y - corner[1]) * inverse[1]))
-        k = np.uint64(math.floor((z - corner[2]) * inverse[2]))
+        i = np.uint64(np.int64(np.floor((x - corner[0]) * inverse[0])))
+        j = np.uint64(np.int64(np.floor((y - corner[1]) * inverse[1])))
+        k = np.uint64(np.int64(np.floor((z - corner[2]) * inverse[2])))
         if i < shape_x and j < shape_y and k < shape_z:
             record = records[(i * shape_y + j) * shape_z + k]
             record[0] += 1.0

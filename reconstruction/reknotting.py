@@ -42,8 +42,9 @@ def map_gaps(
 ) -> tuple[tuple[tuple[float, float], ...], float]:
     """Carry bridged segments of the first curve over to the parameter of the re-knotted one.
 
-    Control point k of a uniform cubic is strongest at parameter k, so segment k is the interval
-    from k to k + 1; neighbouring bridged segments become one gap.
+    Segment k runs from centre k to the next. A long one pulls the curve into the gap, a sixth of
+    its length at either end; so a gap begins and ends not at the knot of its centre but where the
+    curve is nearest to it. Gaps that touch become one.
 
     Returns
     -------
@@ -51,24 +52,47 @@ def map_gaps(
         Intervals [u0, u1] of the new parameter, u1 > count where a gap crosses the start; and
         their length in mm.
     """
-    if not bridged.any():
-        return (), 0.0
-    parameters, lengths = measure_lengths(curve)
-    at_knot = np.interp(np.arange(len(bridged) + 1), parameters, lengths)
-    # Begin the bookkeeping just after an unbridged segment, so that no gap is cut in two.
-    offset = 0 if bridged.all() else int(np.flatnonzero(~bridged)[0]) + 1
-    scale = count / lengths[-1]
+    _, lengths = measure_lengths(curve)
+    total, scale = float(lengths[-1]), count / float(lengths[-1])
     gaps: list[tuple[float, float]] = []
-    for k in range(offset, offset + len(bridged)):
-        turn, place = divmod(k, len(bridged))
-        if not bridged[place]:
-            continue
-        u0 = scale * at_knot[place] + turn * count
-        u1 = scale * at_knot[place + 1] + turn * count
-        if gaps and abs(gaps[-1][1] - u0) < 1e-9 * count:
-            gaps[-1] = (gaps[-1][0], u1)
+    for start, end in sorted(_find_ends(curve, bridged, lengths)):
+        if gaps and start <= gaps[-1][1]:
+            gaps[-1] = (gaps[-1][0], max(end, gaps[-1][1]))
         else:
-            gaps.append((u0, u1))
-    total = sum(u1 - u0 for u0, u1 in gaps) / scale
-    wrapped = tuple((u0 - count, u1 - count) if u0 >= count else (u0, u1) for u0, u1 in gaps)
-    return tuple(sorted(wrapped)), float(total)
+            gaps.append((start, end))
+    while len(gaps) > 1 and gaps[-1][1] >= gaps[0][0] + total:
+        gaps[-1] = (gaps[-1][0], max(gaps[-1][1], gaps.pop(0)[1] + total))
+    gaps = [(start, min(end, start + total)) for start, end in gaps]
+    mapped = tuple((start * scale, end * scale) for start, end in gaps)
+    return mapped, float(sum(end - start for start, end in gaps))
+
+
+def _find_ends(
+    curve: Curve, bridged: BoolArray, lengths_mm: FloatArray
+) -> list[tuple[float, float]]:
+    """Arc lengths between which each run of bridged segments lies, the first in [0, total)."""
+    if bridged.all():
+        return [(0.0, float(lengths_mm[-1]))]
+    points = evaluate_curve(curve, measure_lengths(curve)[0][:-1])
+    count, total = len(bridged), float(lengths_mm[-1])
+    ends = []
+    for run in np.flatnonzero(bridged & ~np.roll(bridged, 1)):
+        first = int(run)
+        after = first + int(np.argmin(np.roll(bridged, -first)))
+        start = _pass_by(curve, points, lengths_mm, first, first - 1)
+        end = _pass_by(curve, points, lengths_mm, after % count, after)
+        turns = np.floor(start / total)
+        ends.append((float(start - turns * total), float(end - turns * total)))
+    return ends
+
+
+def _pass_by(
+    curve: Curve, points_mm: FloatArray, lengths_mm: FloatArray, centre: int, span: int
+) -> float:
+    """Arc length at which a span of the curve passes nearest to a centre."""
+    # A periodic cubic is nearest to its control point k + 1 at parameter k.
+    centre_mm = curve.control_points_mm[(centre + 1) % len(curve.control_points_mm)]
+    steps = np.arange(_STEPS_A_SPAN * span, _STEPS_A_SPAN * (span + 1) + 1)
+    turns, places = np.divmod(steps, len(points_mm))
+    nearest = int(np.argmin(np.linalg.norm(points_mm[places] - centre_mm, axis=1)))
+    return float(turns[nearest] * lengths_mm[-1] + lengths_mm[places[nearest]])

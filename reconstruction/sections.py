@@ -77,6 +77,7 @@ class Section:
 
     index: int
     frame: Frame  # the plane of the section
+    height_mm: float  # of the section's middle, along the stacking axis
     points: int  # measured points of the slice
     thickness: Thickness
     resolution: Resolution
@@ -97,11 +98,6 @@ class Section:
         object.__setattr__(self, "knot_points_mm", frozen(self.knot_points_mm))
         object.__setattr__(self, "synthetic", frozen(self.synthetic, np.bool_))
         object.__setattr__(self, "left_out_mm", frozen(self.left_out_mm))
-
-    @property
-    def height_mm(self) -> float:
-        """Position of the plane along its own normal."""
-        return float(self.frame.origin_mm @ self.frame.axes[2])
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,6 +24,7 @@ _POINTS_A_BOX = 4.0  # a surface is connected when a typical point shares its bo
 _STRAY_SHARE = 0.01
 _PLATE_OVERHANG = 1.15  # how much wider than the part the plate must be, in both directions
 _PLATE_FULL = 2.0  # and how many times more boxes than a typical layer it must fill
+_PLATE_AREA = 0.35  # and how much of its own rectangle: a ring of points is no plate
 _PLATE_ZONE = 0.2  # the plate lies within this share of the height from the bottom
 
 
@@ -120,7 +121,8 @@ def _find_plate(
     if len(above) < 4 or filled[thick] < _PLATE_FULL * np.median(filled[above]):
         return -math.inf
     wide = np.max([_extent(stack[k]) for k in above[2:]], axis=0)
-    if (_extent(stack[thick]) < _PLATE_OVERHANG * wide).any():
+    sides = _extent(stack[thick])
+    if (sides < _PLATE_OVERHANG * wide).any() or filled[thick] < _PLATE_AREA * sides.prod():
         return -math.inf
     return _upper_side(survey.sample_mm[:, axis.column], corner[axis.column] + thick * edge, edge)
 

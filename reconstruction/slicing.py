@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 import tempfile
+import weakref
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import BinaryIO
 
 import numpy as np
@@ -83,9 +84,10 @@ def cut_cloud(
     survey = survey_cloud(inside, axis)
     spacing = choose_spacing(survey, axis, given_mm=spacing_mm)
     keep = find_part(inside, survey, axis)
-    spacing, levels = _number_levels(inside, keep, spacing, axis)
+    start, lowest, levels = _number_levels(inside, keep, spacing, axis)
+    spacing = replace(start, middle_mm=start.middle_mm + lowest * start.step_mm)
     pile = _Pile(int(levels.sum()))
-    aside_mm = _sort_into_pile(points, pile, keep, spacing, axis, levels, crop)
+    aside_mm = _sort_into_pile(points, pile, keep, start, axis, lowest, levels, crop)
     box = pile.box
     aside = {reason: count for reason, (count, _) in aside_mm.items()}
     drawn = {reason: some for reason, (_, some) in aside_mm.items()}
@@ -104,8 +106,12 @@ def _cropped(points: Pass, crop: Box) -> Pass:
 
 def _number_levels(
     points: Pass, keep: Keep, spacing: Spacing, axis: Axis
-) -> tuple[Spacing, IntArray]:
-    """Count the part's points of each level; level 0 becomes the lowest one that holds any."""
+) -> tuple[Spacing, int, IntArray]:
+    """Count the part's points of each level, from the lowest one that holds any.
+
+    Returns the spacing from which levels are counted, the lowest level, and the counts. The sort
+    must count from the same place: from another, a point on a border would round to another level.
+    """
     low = keep.corner_mm[axis.column]
     high = low + keep.edge_mm * keep.boxes.shape[axis.column]
     first = math.floor((low - spacing.middle_mm) / spacing.step_mm)
@@ -118,14 +124,15 @@ def _number_levels(
     start = Spacing(spacing.step_mm, spacing.middle_mm + first * spacing.step_mm, spacing.rule)
     counts = np.zeros(levels, dtype=np.int64)
     for chunk in points():
-        places = _classify(np.ascontiguousarray(chunk), *_grid(keep), *_levels(start, axis), levels)
+        places = _classify(
+            np.ascontiguousarray(chunk), *_grid(keep), *_levels(start, axis), 0, levels
+        )
         counts += np.bincount(places[places >= 0], minlength=levels)
     occupied = np.flatnonzero(counts)
     if len(occupied) == 0:
         raise TooFewPoints("no cluster of 2 or more points is left: everything looks stray")
-    lowest = occupied[0]
-    middle = start.middle_mm + float(lowest) * spacing.step_mm
-    return Spacing(spacing.step_mm, middle, spacing.rule), counts[lowest : occupied[-1] + 1]
+    lowest = int(occupied[0])
+    return start, lowest, counts[lowest : occupied[-1] + 1]
 
 
 def _grid(keep: Keep) -> tuple[FloatArray, float, object, float]:
@@ -146,9 +153,10 @@ def _classify(
     column: int,
     base: float,
     step: float,
+    lowest: int,
     levels: int,
 ) -> IntArray:
-    """The level of every point, or minus its reason for being set aside."""
+    """The level of every point above the lowest, or minus its reason for being set aside."""
     places = np.empty(len(points), np.int64)
     nx, ny, nz = boxes.shape  # type: ignore[attr-defined]
     for n in range(len(points)):
@@ -160,7 +168,7 @@ def _classify(
         j = math.floor((points[n, 1] - corner[1]) / edge)
         k = math.floor((points[n, 2] - corner[2]) / edge)
         known = 0 <= i < nx and 0 <= j < ny and 0 <= k < nz
-        level = math.floor((height - base) / step)
+        level = math.floor((height - base) / step) - lowest
         if known and boxes[int(i), int(j), int(k)] and 0 <= level < levels:  # type: ignore[index]
             places[n] = int(level)
         else:
@@ -172,8 +180,9 @@ def _sort_into_pile(
     points: Pass,
     pile: _Pile,
     keep: Keep,
-    spacing: Spacing,
+    start: Spacing,
     axis: Axis,
+    lowest: int,
     levels: IntArray,
     crop: Box | None,
 ) -> dict[Aside, tuple[int, FloatArray]]:
@@ -187,7 +196,7 @@ def _sort_into_pile(
         else:
             inside = chunk
         places = _classify(
-            np.ascontiguousarray(inside), *_grid(keep), *_levels(spacing, axis), len(levels)
+            np.ascontiguousarray(inside), *_grid(keep), *_levels(start, axis), lowest, len(levels)
         )
         for reason in (Aside.STRAY, Aside.PLATE):
             aside[reason].add(inside[places == -reason])
@@ -249,6 +258,7 @@ class _Pile:
         else:
             # Unbuffered: each slice is one seek and one read or write anyway.
             self._file = tempfile.TemporaryFile(prefix="loftscan-", buffering=0)  # noqa: SIM115
+            weakref.finalize(self, self._file.close)
 
     @property
     def box(self) -> Box:

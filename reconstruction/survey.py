@@ -24,6 +24,7 @@ _SLICES_WANTED = 100
 _POINTS_A_SLICE = 200
 _LEAST_SLICES = 5
 _REGULAR = 0.25  # steps within this share of their median count as the scanner's row step
+_WIDE_BREAK = 0.3  # of the widest empty band, to part two levels
 _ROWS_SHARE = 0.6  # of the steps must be regular
 
 
@@ -97,7 +98,9 @@ def survey_cloud(points: Pass, axis: Axis) -> Survey:
         highs.append(box.high_mm)
         kept.add(chunk)
     if count < 4:
-        raise TooFewPoints(f"{count} points in the cloud: a surface needs at least 4, in 2 slices")
+        raise TooFewPoints(
+            f"{count} points in the cloud: a surface needs at least 4, in 2 slices; name another"
+        )
     box = Box(np.min(lows, axis=0), np.max(highs, axis=0))
     if not (box.sides_mm > 0).any():
         raise TooFewPoints(f"all {count} points lie in one place: is this the right file?")
@@ -111,13 +114,14 @@ class _Thinning:
     def __init__(self, wanted: int) -> None:
         self._wanted = wanted
         self._stride = 1
-        self._offset = 0
+        self._seen = 0
         self._chunks: list[FloatArray] = []
         self._held = 0
 
     def add(self, chunk: FloatArray) -> None:
-        taken = chunk[self._offset :: self._stride]
-        self._offset = (self._offset - len(chunk)) % self._stride
+        # Counted from the stream's start, so that chunking decides nothing.
+        taken = chunk[-self._seen % self._stride :: self._stride]
+        self._seen += len(chunk)
         self._chunks.append(taken.copy())
         self._held += len(taken)
         while self._held > 2 * self._wanted:
@@ -199,7 +203,9 @@ def _find_levels(heights_mm: FloatArray) -> float | None:
         return None
     counts, edges = np.histogram(heights_mm, bins=2048, range=(low, high))
     occupied = np.flatnonzero(counts)
-    breaks = np.flatnonzero(np.diff(occupied) > 1)
+    # A lonely point in the tail of a level leaves empty bins too: only wide breaks part levels.
+    empty = np.diff(occupied) - 1
+    breaks = np.flatnonzero(empty > _WIDE_BREAK * empty.max(initial=0))
     firsts = occupied[np.concatenate([[0], breaks + 1])]
     lasts = occupied[np.concatenate([breaks, [len(occupied) - 1]])]
     if len(firsts) < 3:
@@ -210,4 +216,8 @@ def _find_levels(heights_mm: FloatArray) -> float | None:
     widths = edges[lasts + 1] - edges[firsts]
     regular = np.abs(steps - step) < _REGULAR * step
     apart = float(np.median(widths)) < 0.7 * step
-    return step if apart and regular.mean() > _ROWS_SHARE else None
+    if not apart or regular.mean() <= _ROWS_SHARE:
+        return None
+    # The bins round each step; over all levels at once they do not.
+    numbers = np.concatenate([[0.0], np.cumsum(np.rint(steps / step))])
+    return float(np.polyfit(numbers, middles, 1)[0])

@@ -21,8 +21,8 @@ from reconstruction.errors import TooFewPoints
 
 _WINDOWS = (8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)
 _FLAT = 0.05  # second over first principal variance of a window that sees a line, not a blob
-_TREE_POINTS = 8192  # a random subset this large thins a slice without changing its thickness
-_PROBES = 192
+_TREE_POINTS = 4096  # a random subset this large thins a slice without changing its thickness
+_PROBES = 128
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ def estimate_thickness(planar_mm: FloatArray, *, seed: int = 0) -> Thickness:
     Returns
     -------
     Thickness
-        Medians over up to 192 probes; a slice with fewer points than a window uses what there is.
+        Medians over up to 128 probes; a slice with fewer points than a window uses what there is.
 
     Raises
     ------

@@ -21,7 +21,7 @@ def encode_png(image: ByteArray) -> bytes:
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
         raise ValueError(f"png: bytes of shape (h, w, 3) expected, got {image.dtype} {image.shape}")
     stream = io.BytesIO()
-    Image.fromarray(image).save(stream, "png", compress_level=6)
+    Image.fromarray(image).save(stream, "png", compress_level=4)
     return stream.getvalue()
 
 

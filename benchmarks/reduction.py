@@ -1,0 +1,113 @@
+"""Reduction of 20 million points in slices, beside a plain sum and beside its peers.
+
+One core, one process; medians of process time. Run: python benchmarks/reduction.py [points]
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+import time
+from collections.abc import Callable
+
+for _threads in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(_threads, "1")
+
+import numpy as np
+
+from reconstruction.reduction import Box, reduce_points
+
+CELL_MM = 0.5
+SLICES = 200
+RUNS = 5
+
+
+def make_slices(points: int) -> tuple[np.ndarray, np.ndarray]:
+    """A cylinder of 100 mm, noise 0.2 mm, sorted by slice: points (n, 3) and slice borders."""
+    rng = np.random.default_rng(1)
+    angle = rng.uniform(0.0, 2.0 * math.pi, points)
+    radius = 50.0 + rng.normal(0.0, 0.2, points)
+    height = np.sort(rng.uniform(0.0, 100.0, points))
+    cloud = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])
+    return cloud, np.linspace(0, points, SLICES + 1).astype(int)
+
+
+def plain_sum(cloud: np.ndarray, borders: np.ndarray) -> float:
+    """The floor: read the same bytes once."""
+    return float(sum(cloud[a:b].sum() for a, b in zip(borders[:-1], borders[1:], strict=True)))
+
+
+def ours(cloud: np.ndarray, borders: np.ndarray, within: Box | None) -> int:
+    """Counts and centres of mass of every slice."""
+    size = (CELL_MM, CELL_MM, math.inf)
+    return sum(
+        len(reduce_points(cloud[a:b], size_mm=size, within=within))
+        for a, b in zip(borders[:-1], borders[1:], strict=True)
+    )
+
+
+def bincount(cloud: np.ndarray, borders: np.ndarray) -> int:
+    """The same with numpy: keys, then one bincount a column."""
+    total = 0
+    for a, b in zip(borders[:-1], borders[1:], strict=True):
+        points = cloud[a:b]
+        low = points[:, :2].min(axis=0)
+        lattice = ((points[:, :2] - low) / CELL_MM).astype(np.int64)
+        width = int(lattice[:, 1].max()) + 1
+        keys = lattice[:, 0] * width + lattice[:, 1]
+        counts = np.bincount(keys)
+        used = np.flatnonzero(counts)
+        for column in range(3):
+            np.bincount(keys, weights=points[:, column])[used] / counts[used]
+        total += len(used)
+    return total
+
+
+def open3d_voxels(cloud: np.ndarray, borders: np.ndarray) -> int:
+    """open3d's voxel_down_sample of every slice (no counts), its conversion included."""
+    import open3d
+
+    total = 0
+    for a, b in zip(borders[:-1], borders[1:], strict=True):
+        flat = cloud[a:b].copy()
+        flat[:, 2] = 0.0
+        held = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(flat))
+        total += len(held.voxel_down_sample(CELL_MM).points)
+    return total
+
+
+def median_ns(work: Callable[[], object], points: int) -> float:
+    """Median process time of the runs after a warm-up, in ns a point."""
+    work()
+    seconds = []
+    for _ in range(RUNS):
+        begun = time.process_time()
+        work()
+        seconds.append(time.process_time() - begun)
+    return float(np.median(seconds)) / points * 1e9
+
+
+def main() -> None:
+    """Print the table."""
+    points = int(float(sys.argv[1])) if len(sys.argv) > 1 else 20_000_000
+    cloud, borders = make_slices(points)
+    box = Box(cloud.min(axis=0), cloud.max(axis=0))
+    floor = median_ns(lambda: plain_sum(cloud, borders), points)
+    rows = [
+        ("plain sum of the same bytes", floor),
+        ("loftscan, box known", median_ns(lambda: ours(cloud, borders, box), points)),
+        ("loftscan, box found", median_ns(lambda: ours(cloud, borders, None), points)),
+        ("numpy bincount", median_ns(lambda: bincount(cloud, borders), points)),
+    ]
+    try:
+        rows.append(("open3d", median_ns(lambda: open3d_voxels(cloud, borders), points)))
+    except ImportError:
+        print("open3d is not installed: pip install --group bench")
+    print(f"{points:,} points, {SLICES} slices, {CELL_MM} mm cells, one core, median of {RUNS}")
+    for name, nanoseconds in rows:
+        print(f"{name:30s} {nanoseconds:8.2f} ns/point {nanoseconds / floor:8.2f} x the sum")
+
+
+if __name__ == "__main__":
+    main()

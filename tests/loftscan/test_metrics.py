@@ -1,0 +1,150 @@
+"""The numbers of metrics.json: every one there, explained, and in agreement with the others."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loftscan.metrics import is_one_turn, resources
+from loftscan.result import Result
+from tests.conftest import Saved
+from tests.system.command_cases import (
+    NOISE_MM,
+    ROWS,
+    SHADOW_RAD,
+    SHADOWED_ROWS,
+    FloatArray,
+    volume_mm3,
+)
+
+PROMISED = [
+    "points_in",
+    "points_set_aside",
+    "slices",
+    "sections",
+    "patches",
+    "control_points",
+    "thickness_mm",
+    "residual_rms_mm",
+    "residual_max_mm",
+    "gap_fraction",
+    "watertight",
+    "volume_mm3",
+    "area_mm2",
+    "seconds",
+    "peak_memory_mb",
+]
+PAGE = Path(__file__).resolve().parents[2] / "docs/result-folder.md"
+
+
+def explained() -> dict[str, str]:
+    """Name and row of everything that the page explains as a number."""
+    numbers = PAGE.read_text(encoding="utf-8").partition("## metrics.json")[2]
+    rows = [line for line in numbers.splitlines() if line.startswith("| `")]
+    return {name: row for row in rows for name in re.findall(r"`(\w+)`", row.split("|")[1])}
+
+
+@pytest.fixture
+def numbers(saved: Saved) -> dict:
+    return json.loads((saved.folder / "metrics.json").read_text())
+
+
+def test_every_promised_number_is_there(numbers: dict) -> None:
+    assert [name for name in PROMISED if name not in numbers] == []
+
+
+def test_every_number_is_explained_and_nothing_else_is(numbers: dict) -> None:
+    assert set(explained()) == set(numbers)
+
+
+def test_the_explained_unit_is_that_of_the_name(numbers: dict) -> None:
+    endings = {"mm": "mm", "mm2": "mm²", "mm3": "mm³", "mb": "MB", "fraction": "fraction"}
+    for name, row in explained().items():
+        unit = row.split("|")[2].strip()
+        ending = name.rpartition("_")[2]
+        if ending in endings:
+            assert unit == endings[ending], name
+        else:
+            assert unit in {"count", "counts", "text", "truth", "s"}, name
+
+
+def test_every_reason_and_every_stage_is_explained(numbers: dict) -> None:
+    rows = explained()
+    for name in ("points_set_aside_by_reason", "seconds_by_stage"):
+        for key in numbers[name]:
+            assert f"`{key}`" in rows[name]
+
+
+def test_every_file_of_a_result_is_explained(saved: Saved) -> None:
+    named = set(re.findall(r"^\| `([\w.]+)` \|", PAGE.read_text(encoding="utf-8"), re.MULTILINE))
+    assert {path.name for path in saved.folder.iterdir()} <= named
+
+
+def test_no_point_is_lost(numbers: dict) -> None:
+    assert numbers["points_in"] == (
+        numbers["points_set_aside"]
+        + numbers["points_in_sections"]
+        + numbers["points_in_skipped_slices"]
+    )
+    assert numbers["points_set_aside"] == sum(numbers["points_set_aside_by_reason"].values())
+    assert numbers["points_in_sections"] == numbers["residual_all_points"]
+    assert numbers["points_in_sections"] == numbers["residual_points"] + numbers["points_left_out"]
+    assert numbers["slices"] == numbers["sections"] + numbers["slices_skipped"]
+
+
+def test_the_mesh_counts_are_those_of_a_closed_body(numbers: dict) -> None:
+    assert numbers["euler_number"] == 2
+    assert numbers["components"] == 1
+    assert numbers["faces"] == 2 * numbers["vertices"] - 4
+    assert numbers["volume_mm3"] == pytest.approx(volume_mm3(), rel=0.005)
+
+
+def test_a_rectangle_of_noise_has_its_width_and_a_shadow_its_share(
+    numbers: dict, part_points: FloatArray
+) -> None:
+    assert numbers["thickness_mm"] == pytest.approx(4.0 * NOISE_MM, rel=0.1)
+    # Half the rows are 2 pi 20 mm long (and a little: they are oval), half 2 pi 13 mm.
+    foot = 2.0 * math.pi * 20.0 * 1.01
+    whole = ROWS / 2 * (foot + 2.0 * math.pi * 13.0)
+    # Around 2 rad the foot is a bit nearer than 20 mm; a gap ends at the next measured cell.
+    shadow = SHADOWED_ROWS * SHADOW_RAD * (20.0 + 2.0 * math.cos(4.0))
+    cells = SHADOWED_ROWS * 2.0 * numbers["cell_mm"]
+    assert 0.9 * shadow <= numbers["gap_fraction"] * whole <= 1.1 * shadow + 2.0 * cells
+
+
+def test_the_residuals_are_those_of_the_sections(part_result: Result) -> None:
+    told, sections = part_result.metrics, part_result.sections
+    count = sum(section.residual.count for section in sections)
+    squares = sum(section.residual.squares_mm2 for section in sections)
+    assert told["residual_rms_mm"] == pytest.approx(math.sqrt(squares / count), rel=1e-12)
+    assert told["residual_max_mm"] == max(section.residual.max_mm for section in sections)
+    assert told["residual_points"] == count
+    assert told["control_points"] == sum(len(s.curve.control_points_mm) for s in sections)
+    off = part_result.deviation.distances_mm
+    assert told["surface_deviation_rms_mm"] == pytest.approx(np.sqrt((off**2).mean()), rel=1e-9)
+    assert told["surface_deviation_max_mm"] == pytest.approx(np.abs(off).max(), rel=1e-9)
+    assert told["surface_deviation_points"] == len(off)
+
+
+def test_seconds_add_up_and_memory_is_that_of_the_process() -> None:
+    told = resources({"slicing": 1.25, "sections": 2.5})
+    assert told["seconds"] == 3.75
+    assert told["seconds_by_stage"] == {"slicing": 1.25, "sections": 2.5}
+    status = Path("/proc/self/status")
+    if not status.exists():
+        pytest.skip("this system tells no peak memory in /proc")
+    peak = re.search(r"VmHWM:\s+(\d+) kB", status.read_text())
+    assert peak is not None
+    assert told["peak_memory_mb"] == pytest.approx(int(peak[1]) / 1024, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("turns", "once"), [(1.0, True), (-1.0, True), (1.0 + 1e-9, True), (0.0, False), (2.0, False)]
+)
+def test_a_contour_goes_round_once_in_either_direction(turns: float, once: bool) -> None:  # noqa: FBT001
+    assert is_one_turn(turns) is once
