@@ -25,7 +25,7 @@ def with_sections(done: Reconstruction, *changed: tuple[int, dict]) -> Reconstru
 
 
 def left_out(section: Section, share: float) -> dict:
-    return {"left_out": round(share * section.points)}
+    return {"left_out": int(share * section.points)}
 
 
 def test_a_clean_scan_is_not_remarked_upon(part_result: Result) -> None:

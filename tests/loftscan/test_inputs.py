@@ -89,7 +89,7 @@ def test_an_input_is_called_by_its_file_without_the_folder(place: Path) -> None:
 
 @pytest.mark.parametrize("wrong", [np.zeros((4, 2)), np.zeros(9), np.zeros((3, 3), complex)])
 def test_an_array_of_another_shape_or_kind_is_the_callers_mistake(wrong: FloatArray) -> None:
-    with pytest.raises(ValueError, match="^points_mm: "):
+    with pytest.raises(ValueError, match=r"^points_mm: "):
         open_input(wrong, Unit.MM)
 
 
@@ -168,7 +168,7 @@ def test_a_crop_is_six_numbers_and_an_empty_place_is_no_limit(
     ],
 )
 def test_another_crop_is_refused_and_quoted(text: str, said: str) -> None:
-    with pytest.raises(ValueError, match="^--crop ") as refusal:
+    with pytest.raises(ValueError, match=r"^--crop ") as refusal:
         parse_crop(text)
     assert repr(text) in str(refusal.value)
     assert said in str(refusal.value)

@@ -81,6 +81,12 @@ def test_a_folder_appears_only_when_the_block_ends(place: Path) -> None:
     }  # fmt: skip
 
 
+def interrupted(target: Path, end: BaseException) -> None:
+    with appearing_whole(target, overwrite=True) as partial:
+        (partial / "metrics.json").write_text("new")
+        raise end
+
+
 @pytest.mark.parametrize("end", [OSError(errno.ENOSPC, "full"), KeyboardInterrupt(), ValueError()])
 def test_whatever_ends_the_block_leaves_what_was_there_before(
     place: Path, end: BaseException
@@ -91,12 +97,8 @@ def test_whatever_ends_the_block_leaves_what_was_there_before(
     (place / "empty").mkdir()
     before = contents(place)
     for name in ("old", "empty", "new/and/deep"):
-        with (
-            pytest.raises(type(end)),
-            appearing_whole(place / name, overwrite=True) as partial,
-        ):
-            (partial / "metrics.json").write_text("new")
-            raise end
+        with pytest.raises(type(end)):
+            interrupted(place / name, end)
         assert contents(place) == before
 
 
@@ -132,7 +134,7 @@ def test_a_foreign_file_keeps_a_folder_from_being_replaced(place: Path, name: st
         results.check_output(Path("o"), overwrite=True)
     (place / "o" / name).unlink()
     results.check_output(Path("o"), overwrite=True)
-    with pytest.raises(OutputExists, match="^o: is there already"):
+    with pytest.raises(OutputExists, match=r"^o: is there already"):
         results.check_output(Path("o"), overwrite=False)
 
 

@@ -24,7 +24,8 @@ def band(
     count = round(2.0 * math.pi * radius_mm * points_a_mm)
     angle = rng.uniform(0.0, 2.0 * math.pi, count)
     radius = radius_mm + rng.uniform(-width_mm / 2.0, width_mm / 2.0, count)
-    return radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1) + centre_mm
+    outline = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return np.asarray(outline + centre_mm)
 
 
 def turned_part(
@@ -57,7 +58,7 @@ def star(rng: np.random.Generator, corners: int) -> FloatArray:
     steps = np.arange(corners) + rng.uniform(0.0, 0.45, corners)
     angle = rng.uniform(0.0, 2.0 * math.pi) + steps * (2.0 * math.pi / corners)
     radius = rng.uniform(2.0, 20.0, corners)
-    return radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return np.asarray(radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1))
 
 
 def ring(

@@ -73,6 +73,18 @@ def test_dents_spirals_and_straight_corners_are_covered_exactly(corners: FloatAr
     assert_no_triangle_overlaps(corners)
 
 
+@given(st.lists(st.integers(1, 4), min_size=1, max_size=25))
+@settings(max_examples=100, deadline=None)
+def test_a_skyline_with_all_its_corners_in_lines_is_covered_exactly(heights: list[int]) -> None:
+    ground = [(float(x), 0.0) for x in range(len(heights) + 1)]
+    roofs = [(float(x + side), float(h)) for x, h in enumerate(heights) for side in (0, 1)]
+    # Where two roofs are of one height their common corner comes once.
+    line = [p for p, q in zip(roofs, [*roofs[1:], (-1.0, -1.0)], strict=True) if p != q]
+    corners = np.array([*ground, *line[::-1]])
+    assert_every_edge_is_used_once(corners)
+    assert_no_triangle_overlaps(corners)
+
+
 @given(st.lists(st.tuples(st.integers(-3, 3), st.integers(-3, 3)), min_size=3, max_size=40))
 @settings(max_examples=150, deadline=None)
 def test_whatever_crosses_itself_or_repeats_a_point_every_edge_is_used_once(

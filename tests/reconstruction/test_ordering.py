@@ -183,6 +183,33 @@ def test_an_arc_is_walked_from_end_to_end_although_the_walk_begins_within(seed: 
     assert cells.counts[contour.visited].sum() >= 0.95 * len(planar)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_gaps_within_an_arc_stay_marked_when_the_walk_turns_round(seed: int) -> None:
+    cells, _ = gapped_circle([(1.0, 3.0), (3.8, 4.0), (5.5, 5.7)], seed=seed)
+    contour = walk_contour(cells, reach_mm=8.0)
+    assert not contour.closed
+    steps = contour.segments_mm
+    # A step within the band is at most two cells long, diagonally; a gap is 4 mm of arc wide.
+    np.testing.assert_array_equal(np.flatnonzero(contour.bridged), np.flatnonzero(steps > 3.0))
+    assert contour.bridged.sum() == 3
+
+
+def test_a_gap_is_crossed_onwards_and_not_into_the_other_side_of_the_part() -> None:
+    # Two walls 4 cells apart, a gap of 3 cells in the upper one. The cells behind the gap hold 12
+    # points, others 10: diagonally across it would be count x distance = 56 against 48.
+    walls = [(i, j) for i in range(30) for j in (0, 4) if (i, j) not in [(24, 4), (25, 4), (26, 4)]]
+    places = sorted([*walls, *[(i, j) for i in (-1, 30) for j in (1, 2, 3)]])
+    lattice = np.column_stack([np.array(places), np.zeros(len(places), dtype=int)])
+    counts = np.array([12 if place in [(23, 4), (27, 4)] else 10 for place in places])
+    counts[places.index((5, 0))] = 50
+    contour = walk_contour(Cells((1.0, 1.0, math.inf), lattice, lattice + 0.5, counts))
+    assert contour.closed
+    (bridge,) = np.flatnonzero(contour.bridged)
+    ends = contour.points_mm[[bridge, (bridge + 1) % len(contour.points_mm)]]
+    assert sorted(ends[:, 0]) == [23.5, 27.5]
+    assert (ends[:, 1] == 4.5).all()
+
+
 def test_a_gap_wider_than_the_reach_is_not_crossed_and_a_narrower_one_is() -> None:
     cells, _ = gapped_circle([(1.0, 1.4)])  # 8 mm of arc
     assert not walk_contour(cells, reach_mm=5.0).closed

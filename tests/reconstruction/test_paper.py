@@ -102,6 +102,30 @@ def test_centres_of_mass_are_control_points_of_a_curve_that_passes_beside_them()
     assert sorted(map(tuple, curve.control_points_mm)) == sorted(map(tuple, centres))
 
 
+def test_a_tilted_section_stands_at_the_height_of_its_middle() -> None:
+    planar = band(np.random.default_rng(3), radius_mm=20.0, width_mm=0.4, centre_mm=(100.0, 0.0))
+    points = np.column_stack([planar, 5.0 + 0.1 * planar[:, 0]])
+    piece = Slice(0, points, Frame(np.array([0.0, 0.0, 5.0]), np.eye(3)))
+    section, _ = draw_section(piece, PaperSettings(plane=PlaneRule.TILTED), None)
+    assert section.height_mm == pytest.approx(15.0, abs=0.05)
+    np.testing.assert_allclose(
+        section.knot_points_mm[:, 2], 5.0 + 0.1 * section.knot_points_mm[:, 0], atol=1e-9
+    )
+
+
+def test_a_step_over_one_empty_cell_is_no_gap_and_one_over_more_is() -> None:
+    rng = np.random.default_rng(0)
+    planar = band(rng, radius_mm=20.0, width_mm=0.4)
+    angle = np.arctan2(planar[:, 1], planar[:, 0])
+    # At 1 mm cells: 1.1 mm leaves at most one cell empty, 5 mm more.
+    seen = (np.abs(angle - 1.5708) > 0.5 * 1.1 / 20.0) & (np.abs(angle + 1.5708) > 0.5 * 5.0 / 20.0)
+    piece = flat_slice(planar[seen])
+    section, _ = draw_section(piece, PaperSettings(resolution_mm=1.0), None)
+    assert len(section.gaps) == 1
+    assert section.gap_mm == pytest.approx(5.0, abs=2.0)
+    assert (section.knot_points_mm[section.synthetic, 1] < -15.0).all()
+
+
 def replayed(sections: list[Section], share: float) -> list[tuple[int, bool]]:
     """Count and base flag of every section by the paper's words."""
     expected: list[tuple[int, bool]] = []

@@ -130,8 +130,9 @@ def test_sections_follow_the_part_within_half_the_noise(done: Done) -> None:
 
 def test_knot_points_are_synthetic_where_the_window_is_and_nowhere_else(done: Done) -> None:
     points, synthetic, cells = knots(done.result)
-    # The last centre of mass before the window is known to a cell, diagonally.
-    unseen, seen = beside_window(points, 1.5 * cells)
+    # The last centre of mass lies before the window, by up to a cell, diagonally.
+    unseen, _ = beside_window(points, 0.4 * cells)
+    _, seen = beside_window(points, 1.5 * cells)
     assert unseen.sum() > 100
     assert synthetic[unseen].all()
     assert not synthetic[seen].any()
@@ -279,19 +280,19 @@ def trimmed(shares: list[float]) -> tuple[list[int], list[int]]:
     ("shares", "kept", "away"),
     [
         ([0.0, 0.0, 0.0], [0, 1, 2], []),
-        ([0.9, 0.0, 0.0, 0.0, 0.3], [1, 2, 3], [0, 4]),
-        ([0.9, 0.8, 0.0, 0.0, 0.0, 0.0, 0.26], [2, 3, 4, 5], [0, 1, 6]),
-        ([0.24, 0.0, 0.0], [0, 1, 2], []),
+        ([0.9, 0.0, 0.0, 0.0, 0.4], [1, 2, 3], [0, 4]),
+        ([0.9, 0.8, 0.0, 0.0, 0.0, 0.0, 0.36], [2, 3, 4, 5], [0, 1, 6]),
+        ([0.32, 0.0, 0.0], [0, 1, 2], []),
         ([0.0, 0.9, 0.0], [0, 1, 2], []),
         ([0.9, 0.0], [0, 1], []),
         ([0.4, 0.4, 0.4, 0.5], [0, 1, 2, 3], []),
-        ([0.7, 0.3, 0.3, 0.3, 0.5], [1, 2, 3, 4], [0]),
+        ([0.8, 0.35, 0.35, 0.35, 0.5], [1, 2, 3, 4], [0]),
     ],
     ids=[
         "none",
         "both ends",
         "several",
-        "a quarter is allowed",
+        "a third is allowed",
         "inner ones stay",
         "two remain",
         "where all are gappy, the ends stay",

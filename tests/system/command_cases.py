@@ -9,9 +9,9 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from click.testing import Result as Ran
 from numpy.typing import NDArray
 from typer.testing import CliRunner
+from typer.testing import Result as Ran
 
 from loftscan.cli import app
 
@@ -41,7 +41,7 @@ def volume_mm3() -> float:
     foot, neck = math.pi * (20.0**2 + 2.0**2 / 2.0), math.pi * 13.0**2
     angles = np.arange(3600) * math.tau / 3600
     low, high = radius_mm(angles, np.zeros(3600)), radius_mm(angles, np.full(3600, HEIGHT_MM))
-    step = math.pi * np.mean(low**2 + low * high + high**2) / 3.0
+    step = math.pi * float(np.mean(low**2 + low * high + high**2)) / 3.0
     return 14.0 * foot + ROW_MM * step + 14.0 * neck
 
 
@@ -73,12 +73,12 @@ def run(*arguments: object) -> Ran:
     return CliRunner().invoke(app, [str(each) for each in arguments])
 
 
-def start(*arguments: object, **options: object) -> subprocess.Popen[str]:
+def start(*arguments: object, cwd: Path | None = None) -> subprocess.Popen[str]:
     """A command in a process of its own."""
     return subprocess.Popen(
         [sys.executable, "-m", "loftscan.cli", *map(str, arguments)],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        **options,
+        cwd=cwd,
     )  # fmt: skip
 
 

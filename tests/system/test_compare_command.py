@@ -194,7 +194,7 @@ def test_a_result_folder_stands_for_its_mesh_in_millimetres(
         mesh.export(place / "other.ply")
         arguments = ("other.ply", saved.folder, "--out", unit, "--unit", unit)
         succeeded(run("compare", *arguments))
-        assert compared(place / unit)["max_mm"] < FLOAT32_MM
+        assert compared(place / unit)["rms_mm"] < FLOAT32_MM
     assert compared(place / "mm")["reference"] == {"name": "result", "kind": "mesh"}
 
 
