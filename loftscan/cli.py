@@ -10,6 +10,7 @@ import errno
 import json
 import math
 import sys
+import time
 from collections.abc import Callable
 from enum import Enum
 from pathlib import Path
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 Choice = TypeVar("Choice", bound=Enum)
 
+_BEGUN = time.monotonic()
+
 app = typer.Typer(
     help="Turn the slices of a scanning station into one watertight NURBS surface.",
     no_args_is_help=True,
@@ -32,6 +35,25 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+
+def _say_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        print(f"loftscan {version('loftscan')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _about(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_say_version, is_eager=True, help="Say it and end."),
+    ] = False,
+) -> None:
+    """Turn the slices of a scanning station into one watertight NURBS surface."""
+
 
 Out = Annotated[Path, typer.Option(help="Folder for the result; it must not exist yet.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an older result in --out.")]
@@ -255,13 +277,17 @@ def _tell(result: Result, out: Path, *, json_lines: bool) -> None:
     )
     print(
         f"mesh: {numbers['faces']} faces, {state}; "
-        f"residual rms {numbers['residual_rms_mm']:.3g} mm of {numbers['residual_points']} points, "
-        f"cloud width {numbers['thickness_mm']:.3g} mm"
+        f"residual rms {numbers['residual_rms_mm'] or math.nan:.3g} mm "
+        f"of {numbers['residual_points']} points, cloud width {numbers['thickness_mm']:.3g} mm"
     )
     verdict = result.deviation.verdict
     if verdict is not None:
         print(f"tolerance: {verdict.share_within:.2%} within {verdict.tolerance_mm:g} mm")
-    print(f"time: {numbers['seconds']:.1f} s, peak memory {numbers['peak_memory_mb']:.0f} MB")
+    whole = time.monotonic() - _BEGUN
+    print(
+        f"time: {numbers['seconds']:.1f} s, {whole:.1f} s with saving; "
+        f"peak memory {numbers['peak_memory_mb']:.0f} MB"
+    )
     print(f"report: {out / 'report.html'}")
 
 

@@ -197,6 +197,12 @@ def parse_crop(text: str) -> Box:
         values = [float(part) if part.strip() else math.nan for part in parts]
     except ValueError as error:
         raise ValueError(f"--crop {text!r}: {error}; leave a place empty for no limit") from error
+    if any(
+        part.strip() and not math.isfinite(value) for part, value in zip(parts, values, strict=True)
+    ):
+        raise ValueError(
+            f"--crop {text!r}: finite numbers expected; leave a place empty for no limit"
+        )
     low, high = np.array(values[0::2]), np.array(values[1::2])
     low, high = np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
     if (low >= high).any():

@@ -73,15 +73,15 @@ def is_one_turn(turns: float) -> bool:
 def _residuals(done: Reconstruction) -> dict[str, object]:
     near, every = done.residual, done.residual_all
     return {
-        "residual_rms_mm": near.rms_mm,
+        "residual_rms_mm": _finite(near.rms_mm),
         "residual_max_mm": near.max_mm,
-        "residual_mean_mm": near.mean_mm,
+        "residual_mean_mm": _finite(near.mean_mm),
         "residual_points": near.count,
         "residual_rule": (
             "in-plane distance of every unreduced point to its section's curve; points farther "
             "than 3 cells belong to something the section does not describe and are left out"
         ),
-        "residual_all_rms_mm": every.rms_mm,
+        "residual_all_rms_mm": _finite(every.rms_mm),
         "residual_all_max_mm": every.max_mm,
         "residual_all_points": every.count,
     }
@@ -89,12 +89,15 @@ def _residuals(done: Reconstruction) -> dict[str, object]:
 
 def _surface(done: Reconstruction, deviation: Deviation) -> dict[str, object]:
     sound = done.cleaned.after
-    statistics = deviation.statistics
+    statistics, verdict = deviation.statistics, deviation.verdict
     return {
         "surface_deviation_rms_mm": statistics.rms_mm,
         "surface_deviation_95_mm": statistics.absolute_95_mm,
         "surface_deviation_max_mm": max(-statistics.min_mm, statistics.max_mm),
         "surface_deviation_points": statistics.count,
+        "tolerance_mm": verdict and verdict.tolerance_mm,
+        "share_within_tolerance": verdict and verdict.share_within,
+        "within_tolerance": verdict and verdict.within,
         "vertices": sound.vertices,
         "faces": sound.faces,
         "watertight": sound.watertight,

@@ -29,6 +29,7 @@ from reconstruction.slicing import Cutting, cut_cloud
 from reconstruction.survey import Axis
 
 _SAMPLE = 200_000
+_MOST_INTERMEDIATE = 1000
 
 
 class Method(Enum):
@@ -57,8 +58,10 @@ class Settings:
             if value is not None and not (0.0 < value < float("inf")):
                 option = name.replace("_", "-")
                 raise ValueError(f"--{option} {value:g}: a length above 0 mm is expected")
-        if self.intermediate < 0:
-            raise ValueError("--intermediate: a number of sections, 0 or more, is expected")
+        if not 0 <= self.intermediate <= _MOST_INTERMEDIATE:
+            raise ValueError(
+                f"--intermediate {self.intermediate}: 0 to {_MOST_INTERMEDIATE} rows are possible"
+            )
 
     def said(self) -> dict[str, object]:
         """The settings as provenance.json says them."""

@@ -141,7 +141,9 @@ class Result:
 
 
 def _write_json(path: Path, content: dict[str, object]) -> None:
-    path.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    # A NaN would make the file unreadable to others: whoever has none to say says null.
+    text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False)
+    path.write_text(text + "\n", encoding="utf-8")
 
 
 @contextmanager
@@ -162,13 +164,15 @@ def appearing_whole(
     check_output(target, overwrite=overwrite, marks=marks)
     place = target.resolve()
     partial = place.with_name(f".{place.name}.partial")
+    older = place.with_name(f".{place.name}.older")
     missing = [parent for parent in place.parents if not parent.exists()]
     shutil.rmtree(partial, ignore_errors=True)
     try:
         partial.mkdir(parents=True)
         yield partial
         if place.exists():
-            shutil.rmtree(place)
+            shutil.rmtree(older, ignore_errors=True)
+            place.rename(older)
         partial.rename(place)
     except OSError as error:
         # The person knows the target's name, not that of the partial folder.
@@ -176,7 +180,10 @@ def appearing_whole(
             error.filename = str(target)
         raise
     finally:
-        shutil.rmtree(partial, ignore_errors=True)
+        if older.exists() and not place.exists():
+            older.rename(place)
+        for leftover in (partial, older):
+            shutil.rmtree(leftover, ignore_errors=True)
         for parent in missing:
             with suppress(OSError):  # it holds the result, or was never made
                 parent.rmdir()
@@ -232,6 +239,8 @@ def choose_formats(wanted: Iterable[str] | None) -> tuple[str, ...]:
     if wanted is None:
         return tuple(each for each in FORMATS if not missing_library(each))
     chosen = tuple(dict.fromkeys(each.strip().lower() for each in wanted if each.strip()))
+    if not chosen:
+        raise ValueError(f"--formats '': one of {', '.join(FORMATS)} expected")
     for each in chosen:
         if each not in FORMATS:
             raise ValueError(f"--formats {each!r}: one of {', '.join(FORMATS)} expected")

@@ -89,7 +89,7 @@ def compare(
     tolerance_mm: float | None = None,
     unit: Literal["mm", "cm", "m", "um", "inch"] = "mm",
 ) -> Comparison:
-    """Measure how far `a` lies from `b`: clouds, meshes (.stl .ply .obj .glb) or result folders.
+    """Measure how far `a` lies from `b`: clouds, meshes (.stl .ply .obj .off) or result folders.
 
     Parameters
     ----------

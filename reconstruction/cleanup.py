@@ -215,7 +215,8 @@ def _work(report: Mapping[str, Any]) -> Work:
 
 def _broken(what: str) -> CleanupFailed:
     return CleanupFailed(
-        f"mesh cleanup broke its promise: {what}; the mesh was left as it was, use it uncleaned"
+        f"mesh cleanup broke its promise: {what}; remesh with shorter edges, decimate to more "
+        "faces, or leave both out"
     )
 
 

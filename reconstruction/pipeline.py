@@ -127,4 +127,5 @@ def _explain(sections: list[Section], skipped: list[Skipped]) -> str:
     if not skipped:
         return f"{found}: choose a smaller --spacing-mm"
     fullest = max(skipped, key=lambda each: each.points)
-    return f"{found}; slice {fullest.index}: {fullest.reason}. Try another --axis or --spacing-mm"
+    remedy = "Try another --axis, --spacing-mm or --resolution-mm"
+    return f"{found}; slice {fullest.index}: {fullest.reason}. {remedy}"

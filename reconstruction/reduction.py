@@ -91,7 +91,8 @@ def reduce_points(
     Raises
     ------
     ValueError
-        For a side that is not positive, points not of shape (n, 3), not finite or outside `within`.
+        For a side that is not positive, points not of shape (n, 3), not finite, or a cell or more
+        outside `within`.
 
     References
     ----------

@@ -44,7 +44,10 @@ class Cutting:
 
     def slices(self) -> Iterator[Slice]:
         """The slices from the lowest up, empty ones too; may be called again."""
-        return (self.slice_at(index) for index in range(len(self.counts)))
+        stops = np.cumsum(self.counts)
+        for index, (stop, count) in enumerate(zip(stops, self.counts, strict=True)):
+            points = self.pile.read(int(stop - count), int(stop))
+            yield Slice(index, points, self.frame(index))
 
     def slice_at(self, index: int) -> Slice:
         """One slice by its number."""

@@ -164,7 +164,8 @@ def test_a_crop_is_six_numbers_and_an_empty_place_is_no_limit(
         ("1,2,3,4,5,high", "could not convert string to float: 'high'"),
         ("2,1,,,,", "every minimum must be below its maximum"),
         ("1,1,,,,", "every minimum must be below its maximum"),
-        ("inf,,,,,", "every minimum must be below its maximum"),
+        ("inf,,,,,", "finite numbers expected; leave a place empty for no limit"),
+        ("nan,,,,,", "finite numbers expected; leave a place empty for no limit"),
     ],
 )
 def test_another_crop_is_refused_and_quoted(text: str, said: str) -> None:

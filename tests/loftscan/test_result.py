@@ -56,6 +56,8 @@ def test_formats_are_chosen_once_each_in_the_order_asked() -> None:
     assert choose_formats(["ply", " STL ", "ply", ""]) == ("ply", "stl")
     with pytest.raises(ValueError, match=r"^--formats 'obj': one of step, 3dm, stl, ply, glb"):
         choose_formats(["stl", "obj"])
+    with pytest.raises(ValueError, match=r"^--formats '': one of step, 3dm, stl, ply, glb"):
+        choose_formats([" "])
 
 
 @pytest.mark.parametrize(("form", "library"), [("step", "OCP"), ("3dm", "rhino3dm")])

@@ -183,7 +183,7 @@ def test_a_plausible_size_is_no_warning(place: Path, cloud: str, without_picture
         (["--tolerance-mm", "inf"], "--tolerance-mm inf: a length above 0 mm is expected"),
         (["--remesh-mm", "-1"], "--remesh-mm -1: a length above 0 mm is expected"),
         (["--decimate-faces", "3"], "--decimate-faces 3: a closed mesh has at least 4"),
-        (["--intermediate", "-1"], "--intermediate: a number of sections, 0 or more"),
+        (["--intermediate", "-1"], "--intermediate -1: 0 to 1000 rows"),
     ],
 )
 def test_a_wrong_option_is_bad_usage(

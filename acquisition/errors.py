@@ -1,0 +1,37 @@
+"""What can go wrong between the station's plan and the .scan folder.
+
+    AcquisitionError              root of what this package raises on purpose
+    ├── NotAScan(OSError)         no .scan folder there, or a scan.json that cannot be read
+    ├── ScanInUse(OSError)        another program is appending to the folder; says which
+    ├── StorageFailed(OSError)    the disk is full, read-only or broken; what was kept stays kept
+    ├── DamagedSlice(OSError)     a slice file is not what was written; it is never deleted
+    └── AlreadyKept               the slice is in the folder: nothing is taken twice
+
+Files that a person wrote (station.toml, plan.toml) and wrong arguments are ``ValueError``.
+"""
+
+from __future__ import annotations
+
+
+class AcquisitionError(Exception):
+    """Root of what this package raises on purpose."""
+
+
+class NotAScan(AcquisitionError, OSError):  # noqa: N818 (the house names errors after the fact)
+    """The folder is missing, is no .scan folder, or its scan.json cannot be read."""
+
+
+class ScanInUse(AcquisitionError, OSError):  # noqa: N818
+    """Another program holds the folder's lock."""
+
+
+class StorageFailed(AcquisitionError, OSError):  # noqa: N818
+    """The disk did not take it; every slice that was acknowledged before is still there."""
+
+
+class DamagedSlice(AcquisitionError, OSError):  # noqa: N818
+    """A slice file that does not hold what was written."""
+
+
+class AlreadyKept(AcquisitionError):  # noqa: N818
+    """A slice of this index is in the folder and stays as it is."""

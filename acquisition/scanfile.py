@@ -1,0 +1,328 @@
+"""The .scan folder: the queue between the scan and whatever eats its slices.
+
+::
+
+    NAME.scan/  scan.json               record and state (docs/scan-folder.md)
+                slices/000000.npz       one sweep each: whole or not there
+                slices/000007.npz.damaged       set aside, never deleted
+                slices/.000008.npz.part         under work; nobody reads it
+                .lock                   who appends
+
+Completion is the set of indices that are there, never a counter. `ScanFolder` reads, from any
+number of processes; `ScanWriter` appends, from one. `ScanWriter.append` returns when the slice is
+on the disk.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from acquisition.durable import storage, sync_folder, temporary, write_whole
+from acquisition.errors import AlreadyKept, DamagedSlice, NotAScan, StorageFailed
+from acquisition.folder_lock import LOCK, FolderLock
+from acquisition.poses import Sweep
+from acquisition.scan_record import ScanRecord, State, decode_record, encode_record
+from acquisition.sweep_codec import decode_sweep, encode_sweep
+
+POLL_S = 0.05  # how long `follow` asks for in one pause
+_RECORD = "scan.json"
+_SLICES = "slices"
+_NAME = re.compile(r"(\d{6,})\.npz")
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """A slice file that does not hold what was written."""
+
+    file: Path
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """What a full reading of a folder found."""
+
+    sound: tuple[int, ...]
+    damaged: tuple[Damage, ...]
+    missing: tuple[int, ...]  # of the plan's indices; a damaged slice is missing, too
+
+
+@dataclass(frozen=True, slots=True)
+class ScanFolder:
+    """A .scan folder, for reading."""
+
+    path: Path
+
+    @classmethod
+    def create(cls, path: Path, record: ScanRecord) -> ScanWriter:
+        """Begin a scan in a folder that is new, or empty.
+
+        Raises
+        ------
+        FileExistsError
+            Something is there; it is left as it is.
+        StorageFailed, ScanInUse
+        """
+        _refuse_rest(path)
+        with storage(path, "creating the scan"):
+            new = [each for each in (path, *path.parents) if not each.exists()]
+            (path / _SLICES).mkdir(parents=True, exist_ok=True)
+            lock = FolderLock(path)
+        with ExitStack() as undo:
+            undo.callback(lock.release)
+            _refuse_rest(path)
+            with storage(path, "creating the scan"):
+                write_whole(path / _RECORD, encode_record(record))
+                for each in new:
+                    sync_folder(each.parent)
+            undo.pop_all()
+        return ScanWriter(cls(path), lock, record, ())
+
+    @classmethod
+    def open(cls, path: Path) -> Self:
+        """Open an existing scan for reading.
+
+        Raises
+        ------
+        NotAScan
+        """
+        folder = cls(path)
+        folder.record()
+        return folder
+
+    def resume(self) -> ScanWriter:
+        """Open for appending: rests of a dead writer go, damaged slices are set aside.
+
+        Raises
+        ------
+        ScanInUse, StorageFailed, NotAScan
+        """
+        with storage(self.path, "locking the folder"):
+            lock = FolderLock(self.path)
+        with ExitStack() as undo:
+            undo.callback(lock.release)
+            record = self.record()
+            with storage(self.path, "tidying the folder"):
+                aside = self._tidied()
+            writer = ScanWriter(self, lock, record, aside)
+            if self.missing():
+                writer.mark(State.SCANNING)
+            undo.pop_all()
+        return writer
+
+    def record(self) -> ScanRecord:
+        """Read scan.json.
+
+        Raises
+        ------
+        NotAScan
+        """
+        try:
+            return decode_record((self.path / _RECORD).read_bytes())
+        except FileNotFoundError as absent:
+            raise NotAScan(f"{self.path}: no {_RECORD} there; is it a .scan folder?") from absent
+        except OSError as unread:
+            raise NotAScan(f"{self.path}: {_RECORD} cannot be read: {unread.strerror}") from unread
+        except ValueError as bad:
+            raise NotAScan(f"{self.path}: {bad}; restore the file from a copy") from bad
+
+    def indices(self) -> tuple[int, ...]:
+        """Indices of the slices that are there, increasing."""
+        names = (_NAME.fullmatch(each.name) for each in (self.path / _SLICES).glob("*.npz"))
+        return tuple(sorted(int(name[1]) for name in names if name))
+
+    def missing(self) -> tuple[int, ...]:
+        """Indices of the plan that are not there, increasing: what a resumed scan takes."""
+        there = set(self.indices())
+        return tuple(index for index in self.record().indices if index not in there)
+
+    def read(self, index: int) -> Sweep:
+        """Read one slice.
+
+        Raises
+        ------
+        FileNotFoundError
+            It is not there.
+        DamagedSlice
+            It is not what was written; names the file and the remedy.
+        StorageFailed
+            The disk does not give it back.
+        """
+        file = self.file(index)
+        if not file.exists():
+            raise FileNotFoundError(f"{file} is not there; resume the scan to take it")
+        with storage(self.path, f"reading slice {index}"):
+            data = file.read_bytes()
+        try:
+            sweep = decode_sweep(data)
+            if sweep.index != index:
+                raise ValueError(f"it holds slice {sweep.index}")  # noqa: TRY301 (one message for all)
+        except ValueError as bad:
+            raise DamagedSlice(f"{file}: {bad}; resume the scan to take the slice again") from bad
+        return sweep
+
+    def verify(self) -> Verification:
+        """Read every slice in full: checksums, counts, names."""
+        sound: list[int] = []
+        damaged: list[Damage] = []
+        for index in self.indices():
+            try:
+                self.read(index)
+                sound.append(index)
+            except DamagedSlice as bad:
+                damaged.append(Damage(self.file(index), str(bad.__cause__)))
+        missing = (index for index in self.record().indices if index not in set(sound))
+        return Verification(tuple(sound), tuple(damaged), tuple(missing))
+
+    def follow(self, pause: Callable[[float], None], stop: Callable[[], bool]) -> Iterator[Sweep]:
+        """Yield the slices in the order of their indices, as they appear.
+
+        Ends when `stop` says so, and after the last slice once scan.json says complete or aborted
+        (what is missing then is left out). Every wait is one call of `pause`, 50 ms.
+
+        Raises
+        ------
+        DamagedSlice, NotAScan
+        """
+        for index in self.record().indices:
+            while not self.file(index).exists():
+                if stop():
+                    return
+                # The state is read first: what its writer appended before is then in the folder.
+                if self.record().state is not State.SCANNING and not self.file(index).exists():
+                    break
+                pause(POLL_S)
+            else:
+                if stop():
+                    return
+                yield self.read(index)
+
+    def file(self, index: int) -> Path:
+        """Where a slice is, or would be."""
+        return self.path / _SLICES / f"{index:06d}.npz"
+
+    def _tidied(self) -> tuple[Damage, ...]:
+        for rest in (*temporary(self.path), *temporary(self.path / _SLICES)):
+            rest.unlink()
+        aside = tuple(
+            Damage(_set_aside(damage.file), damage.why) for damage in self.verify().damaged
+        )
+        sync_folder(self.path / _SLICES)
+        return aside
+
+
+class ScanWriter:
+    """Appends to a .scan folder; a context that says aborted when it is left unfinished."""
+
+    def __init__(
+        self,
+        folder: ScanFolder,
+        lock: FolderLock,
+        record: ScanRecord,
+        set_aside: tuple[Damage, ...],
+    ) -> None:
+        self.folder = folder
+        self.set_aside = set_aside  # damaged slices that this opening found, under their new names
+        self._lock = lock
+        self._record = record
+        self._broken = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._record.state is State.SCANNING:
+            with suppress(StorageFailed):  # the failure that brought us here is the one to tell
+                self.mark(State.ABORTED)
+        self.close()
+
+    def append(self, sweep: Sweep) -> None:
+        """Keep one slice; when this returns it survives a crash and a power cut.
+
+        Raises
+        ------
+        AlreadyKept
+            A slice of this index is there; it stays as it is.
+        StorageFailed
+            It is not kept; every later append is refused until the scan is resumed.
+        ValueError
+            The plan has no such index.
+        """
+        if not self._lock.held:
+            raise ValueError(f"{self.folder.path}: the writer is closed; resume the scan")
+        if sweep.index not in self._record.indices:
+            last = len(self._record.indices) - 1
+            raise ValueError(f"{self.folder.path}: slice {sweep.index}: the plan ends at {last}")
+        file = self.folder.file(sweep.index)
+        if file.exists():
+            raise AlreadyKept(f"{file} is there and stays as it is; take another slice")
+        data = encode_sweep(sweep)
+        self._keep(file, data, f"keeping slice {sweep.index}")
+
+    def finish(self, state: State) -> None:
+        """Say that no more slices will come, and let go of the folder.
+
+        Raises
+        ------
+        ValueError
+            Complete with slices missing, or not an end.
+        StorageFailed
+        """
+        missing = self.folder.missing()
+        if state is State.SCANNING or (state is State.COMPLETE and missing):
+            raise ValueError(
+                f"{self.folder.path}: {len(missing)} slices are missing; finish as aborted"
+            )
+        self.mark(state)
+        self.close()
+
+    def mark(self, state: State) -> None:
+        """Write the state into scan.json."""
+        marked = replace(self._record, state=state)
+        with storage(self.folder.path, f"writing {_RECORD}"):
+            write_whole(self.folder.path / _RECORD, encode_record(marked))
+        self._record = marked
+
+    def close(self) -> None:
+        """Let go of the folder; may be called again."""
+        self._lock.release()
+
+    def _keep(self, file: Path, data: bytes, doing: str) -> None:
+        # After a failed fsync the kernel may call the next one clean: only a new start may go on.
+        if self._broken:
+            raise StorageFailed(f"{self.folder.path}: {doing}: the disk failed before; resume")
+        self._broken = True
+        with storage(self.folder.path, doing):
+            write_whole(file, data)
+        self._broken = False
+
+
+def _refuse_rest(path: Path) -> None:
+    """Refuse a folder that holds more than a creation that was cut short leaves."""
+    if not path.exists():
+        return
+    if not path.is_dir():
+        raise FileExistsError(f"{path} is a file; choose another name")
+    rests = {path / _SLICES, path / LOCK, *temporary(path)}
+    found = [*(each for each in path.iterdir() if each not in rests), *path.glob(f"{_SLICES}/*")]
+    if found:
+        there = found[0].relative_to(path)
+        raise FileExistsError(f"{path}: {there} is there; resume that scan or choose another name")
+
+
+def _set_aside(file: Path) -> Path:
+    """Rename a damaged slice so that it is kept and counts as missing."""
+    names = (file.with_name(f"{file.name}.damaged{end}") for end in ("", *range(2, 1_000_000)))
+    free = next(each for each in names if not each.exists())
+    return file.rename(free)

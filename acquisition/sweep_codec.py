@@ -1,0 +1,201 @@
+"""A sweep as the bytes of one slice file, and back: a zip of .npy columns. Pure.
+
+The sensor's integers stay integers: x and z of all profiles end to end, as int16 where they fit,
+else uint16 or int32, with the length of each profile beside them::
+
+    profile   0        1     2             lengths       [4, 2, 5]
+    x         x x x x  x x   x x x x x     x, z, reasons (sum of lengths,)
+
+Nothing is pickled, nothing compressed; the same sweep gives the same bytes (the zip's dates are
+fixed). The zip's CRC covers every column, and counts are checked against each other: what decodes
+is what was written.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+import zipfile
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+from acquisition.poses import Pose, Sweep
+from drivers.profiler import Profile
+
+Columns = Mapping[str, NDArray[Any]]
+
+_VERSION = 1
+_HEAD = ("version", "index")
+_EACH_PROFILE = {
+    "lengths": "<i4",
+    "intensity_lengths": "<i4",
+    "sensor_time_s": "<f8",
+    "encoder": "<i8",
+    "frame": "<i8",
+    "table_rad": "<f8",
+    "stage_mm": "<f8",
+    "time_s": "<f8",
+}
+_EACH_AXIS = ("scale_mm", "offset_mm")  # (profiles, 2) of x and z
+_COUNTS = ("<i2", "<u2", "<i4")  # the first that holds them all
+_TYPES = {
+    **dict.fromkeys(_HEAD, ("<i8",)),
+    **{name: (dtype,) for name, dtype in _EACH_PROFILE.items()},
+    **dict.fromkeys(_EACH_AXIS, ("<f8",)),
+    **dict.fromkeys(("x", "z"), _COUNTS),
+    "reasons": ("|u1",),
+    "intensity": ("<u2",),
+}
+_NAMES = tuple(_TYPES)
+_BROKEN = (
+    zipfile.BadZipFile,
+    NotImplementedError,  # a flag of the zip says a method that we never write
+    struct.error,
+    EOFError,
+    KeyError,
+    OverflowError,
+    TypeError,  # a damaged .npy header
+)
+
+
+def encode_sweep(sweep: Sweep) -> bytes:
+    """Give the bytes of a slice file; equal sweeps give equal bytes."""
+    whole = io.BytesIO()
+    with zipfile.ZipFile(whole, "w", zipfile.ZIP_STORED) as archive:
+        for name, column in _columns(sweep).items():
+            member = io.BytesIO()
+            npy.write_array(member, column, version=(1, 0), allow_pickle=False)
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), member.getvalue())
+    return whole.getvalue()
+
+
+def decode_sweep(data: bytes) -> Sweep:
+    """Give back the sweep of a slice file's bytes.
+
+    Raises
+    ------
+    ValueError
+        The bytes are not what was written: checksum, columns, counts or values are wrong.
+    """
+    try:
+        columns = _unpacked(data)
+    except _BROKEN as broken:
+        raise ValueError(f"damaged archive: {broken}") from broken
+    if columns["version"].tolist() != _VERSION:
+        raise ValueError(f"version {columns['version'].tolist()}, this program knows {_VERSION}")
+    _check_types(columns)
+    _check_counts(columns)
+    return Sweep(int(columns["index"]), _profiles(columns), _poses(columns))
+
+
+def _columns(sweep: Sweep) -> Columns:
+    profiles, poses = sweep.profiles, sweep.poses
+    counts = np.concatenate([np.empty((0, 2), np.int32), *(each.counts for each in profiles)])
+    values: dict[str, Any] = {
+        "version": np.array(_VERSION, "<i8"),
+        "index": np.array(sweep.index, "<i8"),
+        "lengths": [len(each.reasons) for each in profiles],
+        "intensity_lengths": [len(each.intensity) for each in profiles],
+        "sensor_time_s": [each.sensor_time_s for each in profiles],
+        "encoder": [each.encoder for each in profiles],
+        "frame": [each.frame for each in profiles],
+        "table_rad": [each.table_rad for each in poses],
+        "stage_mm": [each.stage_mm for each in poses],
+        "time_s": [each.time_s for each in poses],
+        "x": _narrowed(counts[:, 0]),
+        "z": _narrowed(counts[:, 1]),
+        "reasons": np.concatenate([np.empty(0, "u1"), *(each.reasons for each in profiles)]),
+        "intensity": np.concatenate([np.empty(0, "<u2"), *(each.intensity for each in profiles)]),
+    }
+    typed = {name: np.array(values[name], dtype) for name, dtype in _EACH_PROFILE.items()}
+    pairs = {
+        name: np.array([getattr(each, name) for each in profiles], "<f8").reshape(-1, 2)
+        for name in _EACH_AXIS
+    }
+    together = values | typed | pairs
+    return {name: together[name] for name in _NAMES}
+
+
+def _narrowed(counts: NDArray[np.int32]) -> NDArray[Any]:
+    for dtype in _COUNTS:
+        narrow = counts.astype(dtype)
+        if np.array_equal(narrow, counts):
+            return narrow
+    raise AssertionError("int32 holds every int32")
+
+
+def _unpacked(data: bytes) -> Columns:
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        members = archive.infolist()
+        wanted = [f"{name}.npy" for name in _NAMES]
+        if [each.filename for each in members] != wanted:
+            raise ValueError("the columns are not those of a slice")
+        if any(each.compress_type != zipfile.ZIP_STORED or each.flag_bits & 1 for each in members):
+            raise ValueError("damaged archive: a column is compressed or encrypted")
+        if any(each.file_size > len(data) for each in members):
+            raise ValueError("damaged archive: a column is longer than the file")
+        return {name: _array(archive.read(f"{name}.npy")) for name in _NAMES}
+
+
+def _array(data: bytes) -> NDArray[Any]:
+    """View the bytes of one .npy as its array, read-only; the zip has checked them."""
+    stream = io.BytesIO(data)
+    if npy.read_magic(stream) != (1, 0):
+        raise ValueError("a column is no .npy of version 1.0")
+    shape, _, dtype = npy.read_array_header_1_0(stream)
+    return np.frombuffer(data, dtype, offset=stream.tell()).reshape(shape)
+
+
+def _check_types(columns: Columns) -> None:
+    for name, allowed in _TYPES.items():
+        if columns[name].dtype not in [np.dtype(each) for each in allowed]:
+            raise ValueError(f"column {name} is of {columns[name].dtype}, not {allowed[0]}")
+
+
+def _check_counts(columns: Columns) -> None:
+    profiles = columns["lengths"].size
+    points, bright = (int(columns[n].sum()) for n in ("lengths", "intensity_lengths"))
+    promised: dict[str, tuple[int, ...]] = {
+        **dict.fromkeys(_HEAD, ()),
+        **dict.fromkeys(_EACH_PROFILE, (profiles,)),
+        **dict.fromkeys(_EACH_AXIS, (profiles, 2)),
+        **dict.fromkeys(("x", "z", "reasons"), (points,)),
+        "intensity": (bright,),
+    }
+    for name, shape in promised.items():
+        if columns[name].shape != shape:
+            raise ValueError(f"column {name} is {columns[name].shape}, the others promise {shape}")
+    if min(columns["lengths"], default=0) < 0 or min(columns["intensity_lengths"], default=0) < 0:
+        raise ValueError("a profile of negative length")
+
+
+def _profiles(columns: Columns) -> tuple[Profile, ...]:
+    counts = np.column_stack([columns["x"], columns["z"]]).astype(np.int32, order="C")
+    counts.flags.writeable = False
+    ends, bright_ends = (columns[n].cumsum() for n in ("lengths", "intensity_lengths"))
+    scalars = {name: columns[name].tolist() for name in _EACH_PROFILE}
+    scales, offsets = (columns[name].tolist() for name in _EACH_AXIS)
+    return tuple(
+        Profile(
+            counts=counts[end - length : end],
+            scale_mm=(scales[k][0], scales[k][1]),
+            offset_mm=(offsets[k][0], offsets[k][1]),
+            reasons=columns["reasons"][end - length : end],
+            intensity=columns["intensity"][bright_end - bright : bright_end],
+            sensor_time_s=scalars["sensor_time_s"][k],
+            encoder=scalars["encoder"][k],
+            frame=scalars["frame"][k],
+        )
+        for k, (end, length, bright_end, bright) in enumerate(
+            zip(ends, columns["lengths"], bright_ends, columns["intensity_lengths"], strict=True)
+        )
+    )
+
+
+def _poses(columns: Columns) -> tuple[Pose, ...]:
+    table_rad, stage_mm, time_s = (columns[n].tolist() for n in ("table_rad", "stage_mm", "time_s"))
+    return tuple(map(Pose, table_rad, stage_mm, time_s))

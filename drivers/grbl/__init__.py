@@ -1,0 +1,7 @@
+"""Grbl 1.1 and grblHAL: a rotary table or a linear axis on a serial line of text."""
+
+from __future__ import annotations
+
+from drivers.grbl.axis import GrblAxis, Homing, Settings
+
+__all__ = ["GrblAxis", "Homing", "Settings"]

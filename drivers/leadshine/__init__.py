@@ -1,0 +1,13 @@
+"""Leadshine PR drives (CS2RS, EM2RS, iEM-RS, DM556RS; CL57RS) as a linear stage on Modbus RTU."""
+
+from drivers.leadshine.axis import Homing, LeadshineStage, StageSettings
+from drivers.leadshine.registers import HomingMethod, HomingSense, Model
+
+__all__ = [
+    "Homing",
+    "HomingMethod",
+    "HomingSense",
+    "LeadshineStage",
+    "Model",
+    "StageSettings",
+]

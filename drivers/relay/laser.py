@@ -1,0 +1,277 @@
+"""Switching the laser's supply or interlock by a Modbus output: guarded, or plain.
+
+`WatchedBlock` drops its outputs by itself when nobody talks to it any more; `PlainRelay` keeps
+them for ever. Both read back what they switched, and neither believes its own memory: off is sent
+whatever the state is thought to be. Software-off is no safety function; see decision 0002.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Protocol
+
+from drivers.axis import Identity
+from drivers.bus import Bus
+from drivers.errors import DriverError, Refused
+from drivers.laser import Guarantee
+from drivers.relay.registers import IDENTIFIER_WORDS, Register, text_of, watchdog_word
+
+_OFF_TRIES = 3
+_FOLLOWS_WITHIN_S = 0.1
+_POLL_S = 0.01
+_NOT_THERE = (2, 3)  # Modbus exceptions: illegal address, illegal value
+
+Clock = Callable[[], float]
+Sleep = Callable[[float], None]
+
+
+class Output(Protocol):
+    """One output of a device, written and read back."""
+
+    def write(self, bus: Bus, device_id: int, *, closed: bool) -> None:
+        """Write it in one frame."""
+        ...
+
+    def is_closed(self, bus: Bus, device_id: int) -> bool:
+        """Read it back."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Coil:
+    """An output with a coil of its own (functions 5 and 1)."""
+
+    number: int = 0
+
+    def write(self, bus: Bus, device_id: int, *, closed: bool) -> None:
+        """Write it in one frame."""
+        bus.write_coil(device_id, self.number, closed)
+
+    def is_closed(self, bus: Bus, device_id: int) -> bool:
+        """Read it back."""
+        (closed,) = bus.read_coils(device_id, self.number, 1)
+        return closed
+
+
+@dataclass(frozen=True, slots=True)
+class OutputBit:
+    """One bit of an output register (functions 6 and 3) that is the laser's alone.
+
+    The other bits are written 0: off must not wait for a read of what they are.
+    """
+
+    bit: int = 0
+    register: int = Register.OUTPUTS
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.bit < 16:
+            raise ValueError(f"bit {self.bit} of a register: there are 0 to 15")
+
+    def write(self, bus: Bus, device_id: int, *, closed: bool) -> None:
+        """Write it in one frame."""
+        bus.write_register(device_id, self.register, closed << self.bit)
+
+    def is_closed(self, bus: Bus, device_id: int) -> bool:
+        """Read it back."""
+        (word,) = bus.read_holding(device_id, self.register, 1)
+        return bool(word >> self.bit & 1)
+
+
+class _Contact:
+    """An output that is never believed: every switching is read back."""
+
+    def __init__(
+        self, bus: Bus, device_id: int, output: Output, *, name: str, clock: Clock, sleep: Sleep
+    ) -> None:
+        self._bus = bus
+        self._device_id = device_id
+        self._output = output
+        self._name = name
+        self._clock = clock
+        self._sleep = sleep
+
+    @contextmanager
+    def open_unless_done(self) -> Iterator[None]:
+        """Open it if the block is left by anything but its end; never masks the reason."""
+        try:
+            yield
+        except BaseException as reason:
+            try:
+                self.open()
+            except DriverError as failed:
+                reason.add_note(str(failed))
+            raise
+
+    def close(self) -> None:
+        """Close it and read back."""
+        self._output.write(self._bus, self._device_id, closed=True)
+        if not self._follows(closed=True):
+            raise Refused(
+                f"{self._name}: the output did not go on within {_FOLLOWS_WITHIN_S} s; "
+                "check its supply and who else may write it"
+            )
+
+    def open(self) -> None:
+        """Open it: three tries, whatever goes wrong in the ones before."""
+        reason: DriverError | None = None
+        for _ in range(_OFF_TRIES):
+            try:
+                self._output.write(self._bus, self._device_id, closed=False)
+                if self._follows(closed=False):
+                    return
+            except DriverError as failed:
+                reason = failed
+        raise Refused(
+            f"{self._name}: off was not confirmed in {_OFF_TRIES} tries"
+            f"{'' if reason is None else f' ({reason})'}: press the emergency stop"
+        ) from reason
+
+    def is_closed(self) -> bool:
+        """Read it back."""
+        return self._output.is_closed(self._bus, self._device_id)
+
+    def _follows(self, *, closed: bool) -> bool:
+        deadline_s = self._clock() + _FOLLOWS_WITHIN_S
+        while self.is_closed() is not closed:
+            if self._clock() >= deadline_s:
+                return False
+            self._sleep(_POLL_S)
+        return True
+
+
+class WatchedBlock:
+    """An I/O block with a communication watchdog of its own, as Turck's multiprotocol blocks."""
+
+    def __init__(
+        self,
+        bus: Bus,
+        device_id: int,
+        output: Output,
+        *,
+        watchdog_s: float,
+        name: str = "laser relay",
+        clock: Clock = time.monotonic,
+        sleep: Sleep = time.sleep,
+    ) -> None:
+        self._bus = bus
+        self._device_id = device_id
+        self._name = name
+        self._asked_ms = watchdog_word(watchdog_s)
+        self._promised_ms = 0
+        self._contact = _Contact(bus, device_id, output, name=name, clock=clock, sleep=sleep)
+
+    def identify(self) -> Identity:
+        """Station identifier and mapping revision, where the block has them."""
+        try:
+            first, count = Register.STATION_IDENTIFIER, IDENTIFIER_WORDS
+            model = text_of(self._bus.read_holding(self._device_id, first, count))
+            (revision,) = self._bus.read_holding(self._device_id, Register.MAPPING_REVISION, 1)
+        except Refused as refused:
+            if refused.code not in _NOT_THERE:
+                raise
+            return Identity(family="turck", model="I/O block without identity", firmware="")
+        return Identity(family="turck", model=model, firmware=f"register mapping {revision}")
+
+    def guarantee(self) -> Guarantee:
+        """Write the watchdog's time, read it back; guarded by what was read, if above 0."""
+        self._promised_ms = 0
+        try:
+            self._bus.write_register(self._device_id, Register.WATCHDOG_MS, self._asked_ms)
+            self._promised_ms = self._watchdog_ms()
+        except Refused as refused:
+            return self._unguarded(f"it refused to set its watchdog ({refused})")
+        if self._promised_ms == 0:
+            return self._unguarded(f"its watchdog reads 0 ms after {self._asked_ms} were written")
+        watchdog_s = self._promised_ms / 1000.0
+        return Guarantee(
+            watchdog_s,
+            f"{self._name}: the block switches the laser off {watchdog_s} s after the last word "
+            "from this program",
+        )
+
+    def on(self) -> None:
+        """Switch on and read back; off again where that fails.
+
+        Under a promised watchdog it is read before: the block forgets it at power-off.
+
+        Raises
+        ------
+        Refused
+            The output did not follow, or the block forgot its watchdog (it was restarted).
+        """
+        with self._contact.open_unless_done():
+            self._must_still_be_watched()
+            self._contact.close()
+
+    def off(self) -> None:
+        """Switch off, three tries, each confirmed within 100 ms; see `LaserSwitch.off`."""
+        self._contact.open()
+
+    def is_on(self) -> bool:
+        """Read the output back."""
+        return self._contact.is_closed()
+
+    def _must_still_be_watched(self) -> None:
+        if self._promised_ms and (found_ms := self._watchdog_ms()) != self._promised_ms:
+            raise Refused(
+                f"{self._name}: its watchdog reads {found_ms} ms, {self._promised_ms} were "
+                "promised; was the block restarted? set it again before lighting the laser"
+            )
+
+    def _watchdog_ms(self) -> int:
+        (found_ms,) = self._bus.read_holding(self._device_id, Register.WATCHDOG_MS, 1)
+        return found_ms
+
+    def _unguarded(self, reason: str) -> Guarantee:
+        return Guarantee(
+            None,
+            f"{self._name}: {reason}; nothing turns the laser off when this program is dead",
+        )
+
+
+class PlainRelay:
+    """A Modbus relay that keeps its contact for ever: coil, read back, and no watchdog."""
+
+    def __init__(
+        self,
+        bus: Bus,
+        device_id: int,
+        coil: int = 0,
+        *,
+        name: str = "laser relay",
+        clock: Clock = time.monotonic,
+        sleep: Sleep = time.sleep,
+    ) -> None:
+        self._name = name
+        self._coil = coil
+        output = Coil(coil)
+        self._contact = _Contact(bus, device_id, output, name=name, clock=clock, sleep=sleep)
+
+    def identify(self) -> Identity:
+        """Such a relay has no name; that its coil can be read is all there is."""
+        self._contact.is_closed()
+        return Identity(family="relay", model=f"plain relay, coil {self._coil}", firmware="")
+
+    def guarantee(self) -> Guarantee:
+        """Promise nothing; nothing is sent."""
+        return Guarantee(
+            None,
+            f"{self._name}: a plain relay keeps its contact; nothing turns the laser off when "
+            "this program is dead: stay at the station",
+        )
+
+    def on(self) -> None:
+        """Switch on and read back, off again where that fails; see `LaserSwitch.on`."""
+        with self._contact.open_unless_done():
+            self._contact.close()
+
+    def off(self) -> None:
+        """Switch off, three tries, each confirmed within 100 ms; see `LaserSwitch.off`."""
+        self._contact.open()
+
+    def is_on(self) -> bool:
+        """Read the output back."""
+        return self._contact.is_closed()
