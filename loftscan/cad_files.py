@@ -1,8 +1,9 @@
-"""STEP and 3DM, written by a process of its own while the report is drawn.
+"""STEP and 3DM, written by a process of its own while other work is done.
 
 Open CASCADE takes longer to load than its work takes, and is a large C++ library: beside us it
-costs no time, and a crash of it is a message. The child reads surface.json and sections.json, so
-what CAD gets is what those files say.
+costs no time, and a crash of it is a message. The child loads its libraries as soon as it is
+started, waits for a line that names a folder, and writes from that folder's surface.json and
+sections.json, so that what CAD gets is what those files say.
 """
 
 from __future__ import annotations
@@ -10,9 +11,9 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
+from types import TracebackType
+from typing import Self
 
 from reconstruction.errors import ReconstructionError
 
@@ -20,35 +21,71 @@ _WRITERS = ("step", "3dm")
 _TIME_LIMIT_S = 600.0
 
 
-@contextmanager
-def written_beside(folder: Path, formats: tuple[str, ...], *, name: str) -> Iterator[None]:
-    """Write those of `formats` that are CAD files into `folder` while the block runs.
+class CadWriter:
+    """The child, from its start to its end: ``with CadWriter(formats) as cad: ...``.
 
-    Raises
-    ------
-    ReconstructionError
-        At the end of the block, when the child failed; the message says why.
-    OSError
-        When it failed for lack of space or permission.
+    Started before a reconstruction, it has loaded its libraries by the time there is something to
+    write. Leaving the block ends it, whatever it is doing.
     """
-    chosen = [each for each in _WRITERS if each in formats]
-    if not chosen:
-        yield
-        return
-    command = [sys.executable, "-m", "loftscan.cad_files", str(folder), name, *chosen]
-    with subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as child:
+
+    def __init__(self, formats: tuple[str, ...]) -> None:
+        self._formats = [each for each in _WRITERS if each in formats]
+        self._child: subprocess.Popen[str] | None = None
+
+    def __enter__(self) -> Self:
+        if self._formats:
+            # In a session of its own: an operator's Ctrl-C is ours to answer, not the child's.
+            self._child = subprocess.Popen(
+                [sys.executable, "-m", "loftscan.cad_files", *self._formats],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                start_new_session=True,
+            )
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._child is not None:
+            self._child.kill()
+            with self._child:  # closes its pipes and waits for its end
+                pass
+
+    def write(self, folder: Path, *, name: str) -> None:
+        """Let the child write into a folder that holds surface.json and sections.json."""
+        if self._child is None or self._child.stdin is None:
+            return
+        order = json.dumps({"folder": str(folder), "name": name})
         try:
-            yield
-            said, complaint = child.communicate(timeout=_TIME_LIMIT_S)
+            self._child.stdin.write(order + "\n")
+            self._child.stdin.flush()
+        except BrokenPipeError:
+            pass  # it died: `finish` says of what
+
+    def finish(self) -> None:
+        """Wait for the files.
+
+        Raises
+        ------
+        ReconstructionError
+            The child failed; the message says why.
+        OSError
+            It failed for lack of space or permission.
+        """
+        if self._child is None:
+            return
+        try:
+            said, complaint = self._child.communicate(timeout=_TIME_LIMIT_S)
         except subprocess.TimeoutExpired as late:
             message = f"CAD files: not written in {_TIME_LIMIT_S:g} s; leave them out: --formats"
             raise ReconstructionError(message) from late
-        finally:
-            child.kill()
-    if child.returncode != 0:
-        raise _failure(said, complaint, child.returncode)
+        if self._child.returncode != 0:
+            raise _failure(said, complaint, self._child.returncode)
 
 
 def _failure(said: str, complaint: str, code: int) -> Exception:
@@ -66,10 +103,12 @@ def _failure(said: str, complaint: str, code: int) -> Exception:
 
 def write_files(folder: Path, name: str, formats: list[str]) -> None:
     """Write the CAD files of a result folder from its JSON files."""
-    from reconstruction.exporting.sections_json import read_sections_json
-    from reconstruction.exporting.step import write_step
-    from reconstruction.exporting.surface_json import read_surface_json
-    from reconstruction.exporting.threedm import write_threedm
+    from reconstruction.exporting import (
+        read_sections_json,
+        read_surface_json,
+        write_step,
+        write_threedm,
+    )
 
     surfaces = read_surface_json(folder / "surface.json")
     provenance = json.loads((folder / "surface.json").read_text(encoding="utf-8"))["provenance"]
@@ -80,12 +119,25 @@ def write_files(folder: Path, name: str, formats: list[str]) -> None:
         write_threedm(folder / "surface.3dm", surfaces, curves, name=name, provenance=provenance)
 
 
-def main(arguments: list[str]) -> int:
+def _load_libraries(formats: list[str]) -> None:
+    import reconstruction.exporting  # noqa: F401
+
+    if "step" in formats:
+        import OCP.STEPControl  # noqa: F401
+    if "3dm" in formats:
+        import rhino3dm  # noqa: F401
+
+
+def main(formats: list[str]) -> int:
     """Run as the child; say what went wrong as one JSON line."""
-    folder, name, *formats = arguments
     try:
-        write_files(Path(folder), name, formats)
-    except (OSError, ReconstructionError, ValueError) as error:
+        _load_libraries(formats)
+        line = sys.stdin.readline()
+        if not line:  # whoever started us had nothing to write, or is gone
+            return 0
+        order = json.loads(line)
+        write_files(Path(order["folder"]), order["name"], formats)
+    except (OSError, ImportError, ReconstructionError, ValueError) as error:
         number = error.errno if isinstance(error, OSError) else None
         text = (error.strerror if isinstance(error, OSError) else None) or str(error)
         place = getattr(error, "filename", None)

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 if TYPE_CHECKING:
+    from loftscan.cad_files import CadWriter
     from loftscan.progress import Progress
     from loftscan.reconstructing import Settings
     from loftscan.result import Result
@@ -98,6 +99,7 @@ def reconstruct(
     """Turn a point cloud into a watertight mesh, NURBS patches and a report."""
 
     def work() -> None:
+        from loftscan.cad_files import CadWriter
         from loftscan.progress import bars
         from loftscan.reconstructing import reconstruct_with
         from loftscan.result import check_output
@@ -109,9 +111,9 @@ def reconstruct(
         # Refused before the work, not after it.
         wanted = _formats(formats)
         check_output(out, overwrite=overwrite)
-        with bars(json_lines=json_lines) as progress:
+        with bars(json_lines=json_lines) as progress, CadWriter(wanted) as cad:
             result = reconstruct_with(source, settings, progress=progress)
-            _save(result, out, wanted, progress, overwrite=overwrite)
+            _save(result, out, wanted, cad, progress, overwrite=overwrite)
         _tell(result, out, json_lines=json_lines)
 
     _run(work, debug=debug)
@@ -178,6 +180,7 @@ def demo(
     """Reconstruct a noisy, gappy vase that the program makes itself, and say where to look."""
 
     def work() -> None:
+        from loftscan.cad_files import CadWriter
         from loftscan.demo import make_cloud
         from loftscan.progress import bars
         from loftscan.reconstructing import Settings, reconstruct_with
@@ -185,9 +188,9 @@ def demo(
 
         wanted = _formats(None)
         check_output(out, overwrite=overwrite)
-        with bars(json_lines=json_lines) as progress:
+        with bars(json_lines=json_lines) as progress, CadWriter(wanted) as cad:
             result = reconstruct_with(make_cloud(seed), Settings(), progress=progress, name="vase")
-            _save(result, out, wanted, progress, overwrite=overwrite)
+            _save(result, out, wanted, cad, progress, overwrite=overwrite)
         _tell(result, out, json_lines=json_lines)
 
     _run(work, debug=debug)
@@ -254,10 +257,16 @@ def _choice(names: type[Choice], wanted: str, option: str) -> Choice:
 
 
 def _save(
-    result: Result, out: Path, formats: tuple[str, ...], progress: Progress, *, overwrite: bool
+    result: Result,
+    out: Path,
+    formats: tuple[str, ...],
+    cad: CadWriter,
+    progress: Progress,
+    *,
+    overwrite: bool,
 ) -> None:
     progress("saving", 0, 1)
-    result.save(out, formats=formats, overwrite=overwrite)
+    result.save(out, formats=formats, overwrite=overwrite, cad=cad)
     progress("saving", 1, 1)
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from loftscan.cad_files import written_beside
+from loftscan.cad_files import CadWriter
 from reconstruction.arrays import FloatArray
 from reconstruction.comparison import Deviation
 from reconstruction.errors import MissingExtra
@@ -78,7 +78,12 @@ class Result:
         return self.reconstruction.mesh
 
     def save(
-        self, folder: Path | str, *, formats: Iterable[str] | None = None, overwrite: bool = False
+        self,
+        folder: Path | str,
+        *,
+        formats: Iterable[str] | None = None,
+        overwrite: bool = False,
+        cad: CadWriter | None = None,
     ) -> Path:
         """Write the result folder; it appears whole or not at all.
 
@@ -88,6 +93,8 @@ class Result:
             Where; it must not exist, or be empty, unless `overwrite`.
         formats
             Of `FORMATS`; by default all whose libraries are installed.
+        cad
+            A writer of the same formats that was started earlier, to save its loading time.
 
         Raises
         ------
@@ -96,16 +103,24 @@ class Result:
         OSError
             For example a full disk; then nothing half-written is left.
         """
-        from loftscan.reporting import write_result_report
-
         target = Path(folder)
         chosen = choose_formats(formats)
         with appearing_whole(target, overwrite=overwrite) as partial:
             self._write_json_files(partial)
-            with written_beside(partial, chosen, name=self.name):
-                self._write_meshes(partial, chosen)
-                write_result_report(partial / "report.html", self)
+            if cad is not None:
+                self._write_rest(partial, chosen, cad)
+            else:
+                with CadWriter(chosen) as own:
+                    self._write_rest(partial, chosen, own)
         return target
+
+    def _write_rest(self, folder: Path, formats: tuple[str, ...], cad: CadWriter) -> None:
+        from loftscan.reporting import write_result_report
+
+        cad.write(folder, name=self.name)
+        self._write_meshes(folder, formats)
+        write_result_report(folder / "report.html", self)
+        cad.finish()
 
     def _write_json_files(self, folder: Path) -> None:
         name, said = self.name, self.provenance

@@ -39,6 +39,7 @@ _FEWEST_POINTS = 8
 _FEWEST_CELLS = 4
 _STEPS_A_SPAN = 8  # of the polygon that stands for a curve when residuals are measured
 _GAP_CELLS = 2.5  # a bridged segment longer than this many cells is a gap
+_BLOB_WIDTHS = 2.0  # a slice narrower than this many cloud widths is a blob, as at an apex
 _LEFT_OUT_CELLS = 3.0  # farther than this many cells a point belongs to something else
 _LEFT_OUT_DRAWN = 2_000
 
@@ -174,8 +175,14 @@ def draw_contour(
         size_mm=float(box.sides_mm[:2].max()),
         given_mm=settings.resolution_mm,
     )
-    if resolution.cell_mm <= 0.0:
+    size_mm = float(box.sides_mm[:2].max())
+    if size_mm == 0.0 or resolution.cell_mm <= 0.0:
         raise TooFewPoints(f"all {len(planar_mm)} points lie in one place")
+    if size_mm < _BLOB_WIDTHS * thickness.width_mm:
+        raise TooFewPoints(
+            f"the slice is {size_mm:.3g} mm wide and its cloud {thickness.width_mm:.3g} mm thick: "
+            "no contour can be told from the noise"
+        )
     side = resolution.cell_mm
     cells = reduce_points(
         planar_mm, size_mm=(side, side, math.inf), origin_mm=np.zeros(3), within=box

@@ -1,4 +1,4 @@
-"""The UDP stream of the Baumer OX200: blocks cut into frames, both directions.
+"""The UDP stream of the Baumer OX200: blocks cut into frames, and frames put together here.
 
 After the OX200 operating manual (V2 pages 35-39, V4 pages 43-45), little-endian. The manual calls x
 unsigned; the maker's SDK reads it signed, and it must be: 0 is the middle of the laser plane.
@@ -16,105 +16,52 @@ one says that the rest of this one will not come.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
-from enum import Enum, IntEnum
-from typing import Any
+from enum import Enum
 
 import numpy as np
-from numpy.typing import ArrayLike, DTypeLike, NDArray
+from numpy.typing import NDArray
 
-from drivers.arrays import frozen
+from drivers.baumer_ox.encoding import (
+    FRAME_BYTES,
+    HEAD,
+    HEADER,
+    MEASUREMENT,
+    POINTS,
+    Content,
+    FrameType,
+    MeasurementMessage,
+    Message,
+    ProfileMessage,
+    State,
+    encode_measurement,
+    encode_profile,
+)
 from drivers.errors import FrameError
 
-FRAME_BYTES = 1400  # the longest datagram that the sensor sends
-_HEADER = struct.Struct("<IBBH")
-_HEAD = struct.Struct("<B4?BfIIHI")
-_MEASUREMENT = struct.Struct("<B4?B2?7ffIIH")
+__all__ = [
+    "FRAME_BYTES",
+    "Assembler",
+    "BadFrame",
+    "Content",
+    "Event",
+    "Gap",
+    "MeasurementMessage",
+    "Message",
+    "ProfileMessage",
+    "State",
+    "encode_measurement",
+    "encode_profile",
+]
+
 _IDS = 1 << 32  # block ids wrap here
 _FAR = 1 << 24  # ids; an hour of blocks at 5 kHz: a longer jump is another sequence, not a loss
 _NEAR = 64  # ids between two blocks of one march
 _MARCH = 8  # blocks that march on behind us until we believe that the sensor restarted
 _MOST_POINTS = 1 << 16  # the sensor has about 2 000; this bounds what one block may hold
-
-
-class Content(IntEnum):
-    """What a block carries (the manual's MessageType)."""
-
-    MEASUREMENT = 0
-    Z = 1
-    INTENSITY = 2
-    Z_AND_INTENSITY = 3
-
-
-_POINTS = {
-    Content.Z: np.dtype([("x", "<i2"), ("z", "<u2")]),
-    Content.INTENSITY: np.dtype([("x", "<i2"), ("intensity", "<u2")]),
-    Content.Z_AND_INTENSITY: np.dtype([("x", "<i2"), ("z", "<u2"), ("intensity", "<u2")]),
-}
 _NOTHING = np.empty(0, dtype=np.uint16)
-_LARGEST_BODY = _HEAD.size + 6 * _MOST_POINTS
-
-
-class _FrameType(IntEnum):
-    SINGLE = 0
-    FIRST = 1
-    CONSECUTIVE = 2
-
-
-@dataclass(frozen=True, slots=True)
-class State:
-    """What the sensor says about itself in every block."""
-
-    parametrising: bool
-    time_synced: bool
-    valid: bool  # of the measured values, not of the points
-    alarm: bool
-    quality: int  # 0 good, 1 weak signal, 2 no signal
-    rate_hz: float
-    seconds: int
-    microseconds: int
-    encoder: int
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ProfileMessage:
-    """One block of points; of a torn one `arrived` says which came, the others are 0."""
-
-    block: int
-    state: State
-    content: Content
-    x: NDArray[np.int16]  # (n,)
-    z: NDArray[np.uint16]  # (n,), or (0,) where the content has none
-    intensity: NDArray[np.uint16]  # likewise
-    arrived: NDArray[np.bool_]  # (n,)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "x", _exact("x", self.x, np.int16))
-        object.__setattr__(self, "z", _exact("z", self.z, np.uint16))
-        object.__setattr__(self, "intensity", _exact("intensity", self.intensity, np.uint16))
-        object.__setattr__(self, "arrived", frozen(self.arrived, np.bool_))
-        columns = {"x": self.x, "z": self.z, "intensity": self.intensity}
-        for name, column in columns.items():
-            due = len(self.arrived) if name in (_POINTS[self.content].names or ()) else 0
-            if column.shape != (due,):
-                raise ValueError(f"{self.content.name} block: {column.shape} {name}, not ({due},)")
-
-    @property
-    def torn(self) -> bool:
-        """Whether frames of this block did not come."""
-        return not self.arrived.all()
-
-
-@dataclass(frozen=True, slots=True)
-class MeasurementMessage:
-    """One block of the seven values that the sensor measures itself."""
-
-    block: int
-    state: State
-    outputs: tuple[bool, bool]
-    values: tuple[float, ...]  # seven, in the order set on the sensor's page
+_LARGEST_BODY = HEAD.size + 6 * _MOST_POINTS
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,47 +79,7 @@ class BadFrame:
     reason: str
 
 
-Message = ProfileMessage | MeasurementMessage
 Event = Message | Gap | BadFrame
-
-
-def encode_profile(message: ProfileMessage, *, frame_bytes: int = FRAME_BYTES) -> list[bytes]:
-    """Return the datagrams of a block, in the order of sending, none above `frame_bytes`."""
-    if message.torn:
-        raise ValueError(f"block {message.block} is torn: only a whole one can be sent")
-    points = np.empty(len(message.x), dtype=_POINTS[message.content])
-    for name in points.dtype.names or ():
-        points[name] = getattr(message, name)
-    head = _HEAD.pack(message.content, *_flags(message.state), *_clock(message.state), len(points))
-    return _cut(message.block, head + points.tobytes(), frame_bytes)
-
-
-def encode_measurement(message: MeasurementMessage) -> bytes:
-    """Return the one datagram of a measurement block."""
-    state = message.state
-    head = (Content.MEASUREMENT, *_flags(state), *message.outputs, *message.values)
-    body = _MEASUREMENT.pack(*head, *_clock(state))
-    return _HEADER.pack(message.block, _FrameType.SINGLE, 0, 0) + body
-
-
-def _cut(block: int, body: bytes, frame_bytes: int) -> list[bytes]:
-    room = frame_bytes - _HEADER.size
-    if room < _HEAD.size:
-        raise ValueError(f"frames of {frame_bytes} B: {_HEADER.size + _HEAD.size} B is the least")
-    if len(body) <= room:
-        return [_HEADER.pack(block, _FrameType.SINGLE, 0, 0) + body]
-    pieces = [body[start : start + room] for start in range(0, len(body), room)]
-    headers = [_HEADER.pack(block, _FrameType.FIRST, 0, len(pieces))]
-    headers += [_HEADER.pack(block, _FrameType.CONSECUTIVE, 0, i) for i in range(1, len(pieces))]
-    return [header + piece for header, piece in zip(headers, pieces, strict=True)]
-
-
-def _flags(state: State) -> tuple[bool, bool, bool, bool, int]:
-    return state.parametrising, state.time_synced, state.valid, state.alarm, state.quality
-
-
-def _clock(state: State) -> tuple[float, int, int, int]:
-    return state.rate_hz, state.seconds, state.microseconds, state.encoder
 
 
 class Assembler:
@@ -324,7 +231,7 @@ class _Block:
         for start, piece in self._placed(total):
             body[start : start + len(piece)] = piece
             came[start : start + len(piece)] = True
-        return _decoded(self.number, bytes(body), came[_HEAD.size :])
+        return _decoded(self.number, bytes(body), came[HEAD.size :])
 
     def _placed(self, total: int) -> list[tuple[int, bytes]]:
         """Where each frame belongs in a body with holes.
@@ -353,17 +260,17 @@ class _Block:
 
 
 def _parse(datagram: bytes) -> _Frame:
-    if len(datagram) <= _HEADER.size:
-        raise FrameError(f"a datagram of {len(datagram)} B; a frame has more than {_HEADER.size}")
-    block, kind, _, number = _HEADER.unpack_from(datagram)
-    body = datagram[_HEADER.size :]
-    if kind == _FrameType.CONSECUTIVE:
+    if len(datagram) <= HEADER.size:
+        raise FrameError(f"a datagram of {len(datagram)} B; a frame has more than {HEADER.size}")
+    block, kind, _, number = HEADER.unpack_from(datagram)
+    body = datagram[HEADER.size :]
+    if kind == FrameType.CONSECUTIVE:
         if number == 0:
             raise FrameError(f"block {block}: a consecutive frame with index 0")
         return _Frame(block, number, 0, body)
-    if kind not in (_FrameType.SINGLE, _FrameType.FIRST):
+    if kind not in (FrameType.SINGLE, FrameType.FIRST):
         raise FrameError(f"block {block}: frame type {kind}")
-    count = number if kind == _FrameType.FIRST else 1
+    count = number if kind == FrameType.FIRST else 1
     total = _body_bytes(body)
     if count == 0 or (len(body) != total if count == 1 else len(body) >= total):
         raise FrameError(f"block {block}: {len(body)} B in the first of {count} for {total} B")
@@ -375,13 +282,13 @@ def _parse(datagram: bytes) -> _Frame:
 def _body_bytes(body: bytes) -> int:
     """How long the body is that begins so."""
     if body[0] == Content.MEASUREMENT:
-        return _MEASUREMENT.size
-    if len(body) < _HEAD.size or body[0] > Content.Z_AND_INTENSITY:
+        return MEASUREMENT.size
+    if len(body) < HEAD.size or body[0] > Content.Z_AND_INTENSITY:
         raise FrameError(f"content {body[0]}, {len(body)} B: no head of a profile")
-    points: int = _HEAD.unpack_from(body)[-1]
+    points: int = HEAD.unpack_from(body)[-1]
     if points > _MOST_POINTS:
         raise FrameError(f"{points} points; {_MOST_POINTS} is the most")
-    return _HEAD.size + points * _POINTS[Content(body[0])].itemsize
+    return HEAD.size + points * POINTS[Content(body[0])].itemsize
 
 
 def _decoded(block: int, body: bytes, came: NDArray[np.bool_] | None) -> Message:
@@ -390,9 +297,9 @@ def _decoded(block: int, body: bytes, came: NDArray[np.bool_] | None) -> Message
         raise FrameError(f"block {block}: {len(body)} B of {_body_bytes(body)}")
     if body[0] == Content.MEASUREMENT:
         return _decoded_measurement(block, body)
-    kind, *said, _ = _HEAD.unpack_from(body)
-    content, layout = Content(kind), _POINTS[Content(kind)]
-    points = np.frombuffer(body, dtype=layout, offset=_HEAD.size)
+    kind, *said, _ = HEAD.unpack_from(body)
+    content, layout = Content(kind), POINTS[Content(kind)]
+    points = np.frombuffer(body, dtype=layout, offset=HEAD.size)
     arrived: NDArray[np.bool_] = np.ones(len(points), dtype=np.bool_)
     if came is not None:
         arrived = np.all(came.reshape(len(points), layout.itemsize), axis=1)
@@ -403,20 +310,10 @@ def _decoded(block: int, body: bytes, came: NDArray[np.bool_] | None) -> Message
 
 
 def _decoded_measurement(block: int, body: bytes) -> MeasurementMessage:
-    _, *said = _MEASUREMENT.unpack(body)
+    _, *said = MEASUREMENT.unpack(body)
     flags, outputs, values, clock = said[:5], said[5:7], said[7:14], said[14:]
     return MeasurementMessage(block, State(*flags, *clock), (outputs[0], outputs[1]), tuple(values))
 
 
 def _after(number: int) -> int:
     return (number + 1) % _IDS
-
-
-def _exact(name: str, values: ArrayLike, dtype: DTypeLike) -> NDArray[Any]:
-    """Return `values` frozen in a narrower type that holds them all."""
-    array = np.asarray(values)
-    if array.size and array.dtype != dtype:
-        limits = np.iinfo(np.dtype(dtype))
-        if array.min() < limits.min or array.max() > limits.max:
-            raise ValueError(f"{name}: {array.min()} to {array.max()} is beyond {limits.dtype}")
-    return frozen(array, dtype)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.grbl.axis import GrblAxis, Homing, Settings
+from drivers.grbl.axis import GrblAxis
+from drivers.grbl.settings import Homing, Settings
 
 __all__ = ["GrblAxis", "Homing", "Settings"]

@@ -17,85 +17,34 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
 from drivers.axis import AxisState, Identity, Kind, Motion, Pause
-from drivers.errors import FrameError, LinkLost, NoReply, Refused
-from drivers.grbl.messages import (
-    Error,
-    State,
-    Status,
-    Vector,
-    alarm_name,
-    alarm_remedy,
-    error_name,
-    error_remedy,
+from drivers.errors import NoReply, Refused
+from drivers.grbl.conversation import (
+    ANSWER_S,
+    BANNER_S,
+    QUIET_S,
+    REPORT_S,
+    Conversation,
+    Lines,
+    axis_index,
+    homing_s,
+    identity_of,
+    is_held,
+    machine_coordinate,
+    motion_of,
+    place_of,
+    rests,
 )
-from drivers.grbl.wire import FENCE, Dialogue, Realtime, feed_move, jog
+from drivers.grbl.messages import Error, State, Status, error_name, error_remedy
+from drivers.grbl.settings import Homing, Settings
+from drivers.grbl.wire import FENCE, Realtime, feed_move, jog
 from drivers.links import ByteLink
 
-_LETTERS: Final = "XYZABC"  # in the order of a report
-_STEP_S: Final = 0.005  # between looks at the link while an answer is due
-_ANSWER_S: Final = 1.0  # Grbl reports within 5 to 20 ms; a line waits for room in the planner
-_REPORT_S: Final = 0.5
-_BANNER_S: Final = 2.5  # an Arduino's boot loader takes 2 s after the port opens
-_QUIET_S: Final = 0.1
 _STOP_POLL_S: Final = 0.05
-_DRAIN_READS: Final = 64
 _UNHOMED_JOG: Final = 1.0  # degree or mm, from where the axis stands
-
-
-class Homing(Enum):
-    """Where the axis's zero comes from."""
-
-    SWITCH = "switch"  # $H finds it
-    SOFTWARE_ZERO = "software zero"  # where the axis stands when `home` is called
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """What the station knows of one axis; positions in its own unit, rad or mm."""
-
-    name: str  # for messages
-    kind: Kind
-    letter: str
-    steps_per_unit: float  # a degree or a mm, as $100 to $105 of the controller must say
-    lower: float
-    upper: float
-    speed: float  # a second
-    tolerance: float  # of the position read back
-    homing: Homing = Homing.SWITCH
-    home_position: float = 0.0  # what the position is called where homing ends
-    backlash: float = 0.0  # taken up from below before every stop; 0 approaches directly
-    poll_s: float = 0.1
-
-    def __post_init__(self) -> None:
-        if self.letter not in _LETTERS or len(self.letter) != 1:
-            raise ValueError(f"{self.name}: an axis letter of {_LETTERS}, not {self.letter!r}")
-        positive = (self.steps_per_unit, self.speed, self.tolerance)
-        if not all(0 < value < math.inf for value in positive):
-            raise ValueError(f"{self.name}: steps, speed and tolerance must be above zero")
-        if not self.lower < self.upper:
-            raise ValueError(f"{self.name}: limits {self.lower:g} to {self.upper:g} hold nothing")
-        if not (0 <= self.backlash < math.inf and math.isfinite(self.home_position)):
-            raise ValueError(f"{self.name}: backlash and home position must be finite numbers")
-        if not 0.05 <= self.poll_s <= 0.2:  # report.c: 5 to 20 Hz
-            raise ValueError(f"{self.name}: Grbl is polled every 0.05 to 0.2 s, not {self.poll_s}")
-
-    def to_wire(self, position: float) -> float:
-        """Degrees or mm."""
-        return math.degrees(position) if self.kind is Kind.ROTARY else position
-
-    def from_wire(self, value: float) -> float:
-        """Radians or mm."""
-        return math.radians(value) if self.kind is Kind.ROTARY else value
-
-    @property
-    def unit(self) -> str:
-        """The wire's unit, for messages."""
-        return "deg" if self.kind is Kind.ROTARY else "mm"
 
 
 class _Doing(Enum):
@@ -107,153 +56,13 @@ class _Doing(Enum):
     HOMING = "homing"
 
 
-class _Lines(Enum):
-    """Whether a line that was sent may still start something."""
-
-    ANSWERED = "answered"
-    OPEN = "open"
-
-
 _ENDING: Final = {
     _Doing.NOTHING: Realtime.JOG_CANCEL,  # harmless when nothing moves, and never elided
     _Doing.JOG: Realtime.JOG_CANCEL,
     _Doing.FEED: Realtime.HOLD,
     _Doing.HOMING: Realtime.RESET,  # the homing loop hears nothing else
 }
-
-
-class _Conversation:
-    """The dialogue over a link: send-response, reports, resets; every wait bounded.
-
-    Without a `pause` it waits in the link, with one it waits in the caller's hands.
-    """
-
-    def __init__(self, link: ByteLink, name: str, clock: Callable[[], float]) -> None:
-        self.clock = clock
-        self.dialogue = Dialogue()
-        self._link = link
-        self._name = name
-
-    def exchange(self, line: str, pause: Pause | None, *, within_s: float = _ANSWER_S) -> None:
-        """Send one line and see it answered ok; never sends it twice."""
-        dialogue = self.dialogue
-        alarm, upsets = dialogue.alarm, dialogue.upsets
-        self.write(dialogue.send(line))
-        self.until(lambda: not dialogue.outstanding or dialogue.alarm is not alarm, within_s, pause)
-        if isinstance(dialogue.answer, Error):
-            code = dialogue.answer.number
-            raise Refused(
-                f"{self._name}: {line} refused, {error_name(code)}; {error_remedy(code)}", code=code
-            )
-        if dialogue.answer is not None:
-            return
-        if dialogue.outstanding:
-            dialogue.give_up()
-        if dialogue.upsets != upsets:
-            raise self.upset(line)
-        raise NoReply(f"{self._name}: {line} was not answered in {within_s:.1f} s; check the cable")
-
-    def status(self, pause: Pause | None) -> Status:
-        """One report, asked for at most twice."""
-        damaged = self.dialogue.unknown_lines
-        for _ in range(2):
-            status = self.report(pause, within_s=_REPORT_S)
-            if status is not None:
-                return status
-            if self.dialogue.locked:
-                raise self.upset("a report")
-            self.until(lambda: False, _QUIET_S, pause)
-        damaged = self.dialogue.unknown_lines - damaged
-        if damaged:
-            raise FrameError(
-                f"{self._name}: {damaged} unreadable lines and no report; check baud rate and cable"
-            )
-        raise NoReply(
-            f"{self._name}: no report in {2 * _REPORT_S} s at {self._link.address}; is the"
-            " controller on, and is this its port?"
-        )
-
-    def report(self, pause: Pause | None, *, within_s: float) -> Status | None:
-        dialogue = self.dialogue
-        self.write(dialogue.ask())
-        self.until(lambda: dialogue.status is not None or dialogue.locked, within_s, pause)
-        return dialogue.status
-
-    def reset(self, pause: Pause | None, *, within_s: float) -> bool:
-        """Whether the banner came."""
-        self.write(self.dialogue.reset())
-        return self.until(lambda: self.dialogue.banner is not None, within_s, pause)
-
-    def upset(self, during: str) -> Refused:
-        """Why the position is no longer believed."""
-        alarm, status = self.dialogue.alarm, self.dialogue.status
-        if alarm is None and (status is None or status.state not in (State.ALARM, State.SLEEP)):
-            return Refused(
-                f"{self._name}: the controller restarted during {during}; check its supply, home"
-            )
-        code = None if alarm is None else alarm.number
-        remedy = "home it" if code is None else alarm_remedy(code)
-        return Refused(f"{self._name}: {self.alarm_text()} during {during}; {remedy}", code=code)
-
-    def alarm_text(self) -> str:
-        alarm, status = self.dialogue.alarm, self.dialogue.status
-        if alarm is not None:
-            return alarm_name(alarm.number)
-        if status is None or status.state is not State.ALARM:
-            return "asleep"
-        return alarm_name(status.substate) if status.substate else "locked since it started"
-
-    def setting(self, code: int) -> float:
-        text = self.dialogue.settings.get(code, "none")
-        try:
-            return float(text)
-        except ValueError as wrong:
-            raise FrameError(
-                f"{self._name}: ${code} is {text!r}, a number was due; is this a Grbl 1.1?"
-            ) from wrong
-
-    def rate(self, code: int) -> float:
-        """A setting that divides."""
-        value = self.setting(code)
-        if not value > 0:
-            raise Refused(f"{self._name}: ${code} is {value:g}; set it above zero", code=code)
-        return value
-
-    def until(self, done: Callable[[], bool], within_s: float, pause: Pause | None) -> bool:
-        """Listen until `done` or the time is over; the caller is heard every 5 ms."""
-        deadline_s = self.clock() + within_s
-        while not done():
-            left_s = deadline_s - self.clock()
-            if left_s <= 0:
-                return False
-            self._listen(min(left_s, _STEP_S), pause)
-        return True
-
-    def _listen(self, seconds: float, pause: Pause | None) -> None:
-        """Take what came; wait for more in the caller's hands where there is a caller."""
-        try:
-            data = self._link.read(seconds if pause is None else 0.0)
-        except LinkLost:
-            self.dialogue.upsets += 1
-            raise
-        self.dialogue.feed(data)
-        if pause is not None:
-            pause(0.0 if data else seconds)
-
-    def drain(self) -> None:
-        """Take what lay in the port: nothing of before the reset may answer for it."""
-        for _ in range(_DRAIN_READS):
-            data = self._link.read(0.0)
-            if not data:
-                return
-            self.dialogue.feed(data)
-
-    def write(self, data: bytes) -> None:
-        try:
-            self._link.write(data)
-        except LinkLost:
-            self.dialogue.upsets += 1
-            raise
+_ENDING_OF: Final = {State.RUN: Realtime.HOLD, State.JOG: Realtime.JOG_CANCEL}
 
 
 class GrblAxis:
@@ -265,7 +74,7 @@ class GrblAxis:
 
     def __init__(self, link: ByteLink, settings: Settings, *, clock: Callable[[], float]) -> None:
         self._settings = settings
-        self._talk = _Conversation(link, settings.name, clock)
+        self._talk = Conversation(link, settings.name, clock)
         self._identity: Identity | None = None
         self._doing = _Doing.NOTHING
         self._zero = 0.0  # machine coordinate of position 0, in the wire's unit
@@ -314,14 +123,14 @@ class GrblAxis:
 
     def move_to(self, position: float, pause: Pause) -> AxisState:
         """Move in a straight feed (G1) in machine coordinates."""
-        self._check_limits(position)
+        self._settings.check_limits(position)
         if not self._homed:
             raise Refused(f"{self._name}: not homed; home it first")
         return self._travel(self._settings.to_wire(position), _Doing.FEED, pause)
 
     def jog_to(self, position: float, pause: Pause) -> AxisState:
         """Move by a jog: cancelled by one byte, refused beyond the controller's own travel."""
-        self._check_limits(position)
+        self._settings.check_limits(position)
         return self._travel(self._settings.to_wire(position), _Doing.JOG, pause)
 
     def stop(self) -> None:
@@ -343,9 +152,9 @@ class GrblAxis:
                 self._talk.dialogue.give_up()  # asks whether lines are heard before the next
             return
         self._homed_at = None
-        if not self._talk.reset(None, within_s=_BANNER_S):
+        if not self._talk.reset(None, within_s=BANNER_S):
             raise NoReply(
-                f"{self._name}: the stop was not confirmed in {_BANNER_S} s; press the"
+                f"{self._name}: the stop was not confirmed in {BANNER_S} s; press the"
                 " emergency stop"
             )
 
@@ -372,7 +181,7 @@ class GrblAxis:
             return [target]
         before = target - slack
         if self._homed:
-            self._check_limits(self._settings.from_wire(before))
+            self._settings.check_limits(self._settings.from_wire(before))
         return [before, target]
 
     def _leg(self, here: float, target: float, doing: _Doing, pause: Pause) -> Status:
@@ -449,7 +258,7 @@ class GrblAxis:
 
     def _unlock(self, pause: Pause) -> None:
         """Clear an alarm; homing by a switch does that itself, unless only a reset is heard."""
-        if self._talk.dialogue.locked and not self._talk.reset(pause, within_s=_BANNER_S):
+        if self._talk.dialogue.locked and not self._talk.reset(pause, within_s=BANNER_S):
             raise NoReply(f"{self._name}: no banner after a reset; switch its supply off and on")
         status = self._talk.status(pause)
         self._talk.dialogue.clear_alarm()
@@ -460,14 +269,7 @@ class GrblAxis:
         if not int(self._talk.setting(22)) & 1:  # grblHAL: a mask, bit 0 enables
             raise Refused(f"{self._name}: {error_name(5)}; {error_remedy(5)}", code=5)
         with self._stopped_unless_done(_Doing.HOMING):
-            self._talk.exchange("$H", pause, within_s=self._homing_s())
-
-    def _homing_s(self) -> float:
-        """Seek 1.5 travels and locate at 6 pull-offs (interface.md, ALARM:9), axis by axis."""
-        seek, locate = self._talk.rate(25), self._talk.rate(24)
-        axes = [number for number in self._talk.dialogue.settings if number in range(130, 136)]
-        seek_min = sum(1.5 * self._talk.setting(number) for number in axes) / seek
-        return 60 * (seek_min + len(axes) * 12 * self._talk.setting(27) / locate) + 5.0
+            self._talk.exchange("$H", pause, within_s=homing_s(self._talk))
 
     # --- stopping ----------------------------------------------------------------------------
 
@@ -483,36 +285,31 @@ class GrblAxis:
         while self._talk.clock() < deadline_s and not self._talk.dialogue.locked:
             status = self._talk.report(None, within_s=2 * _STOP_POLL_S)
             if status is not None:
-                if _is_held(status):
+                if is_held(status):
                     return self._reset_held(status)
                 if status.state is State.HOME:
                     return False
                 due = _ENDING_OF.get(status.state)
-                if due is not None and said != (due, _Lines.ANSWERED):
+                if due is not None and said != (due, Lines.ANSWERED):
                     said = self._say(due)
-                elif before is not None and _rests(before, status):
+                elif before is not None and rests(before, status):
                     # A line that was not answered could still start: a reset drops it.
-                    return self._lines() is _Lines.ANSWERED or self._reset_held(status)
+                    return self._talk.lines is Lines.ANSWERED or self._reset_held(status)
                 before = status
             self._talk.until(lambda: False, _STOP_POLL_S, None)
         return self._talk.dialogue.locked
 
-    def _say(self, ending: Realtime) -> tuple[Realtime, _Lines]:
-        lines = self._lines()
+    def _say(self, ending: Realtime) -> tuple[Realtime, Lines]:
+        lines = self._talk.lines
         self._talk.write(ending.wire)
         return ending, lines
 
-    def _lines(self) -> _Lines:
-        dialogue = self._talk.dialogue
-        open_ = dialogue.outstanding or not dialogue.fenced
-        return _Lines.OPEN if open_ else _Lines.ANSWERED
-
     def _reset_held(self, held: Status) -> bool:
         """Reset where nothing moves: lines and queue are dropped, the position is kept."""
-        if not self._talk.reset(None, within_s=_ANSWER_S):
+        if not self._talk.reset(None, within_s=ANSWER_S):
             return False
-        after = self._talk.report(None, within_s=_REPORT_S)
-        if after is None or _place(after) != _place(held):
+        after = self._talk.report(None, within_s=REPORT_S)
+        if after is None or place_of(after) != place_of(held):
             self._homed_at = None
         return True
 
@@ -530,47 +327,28 @@ class GrblAxis:
             self._talk.exchange(FENCE, pause)
         except NoReply:  # a torn line swallowed it, or the controller is suspended
             status = self._talk.status(pause)
-            if _motion(status) is Motion.MOVING or not self._reset_held(status):
+            if motion_of(status) is Motion.MOVING or not self._reset_held(status):
                 raise
 
     def _open(self, pause: Pause | None) -> Identity:
         """Handshake that needs no banner: an open port may have swallowed it."""
         self._homed_at = None
         self._talk.drain()
-        self._talk.reset(pause, within_s=_BANNER_S)
-        self._talk.until(lambda: False, _QUIET_S, pause)  # startup lines, a second banner
+        self._talk.reset(pause, within_s=BANNER_S)
+        self._talk.until(lambda: False, QUIET_S, pause)  # startup lines, a second banner
         self._talk.dialogue.reset_asked = False
         self._talk.status(pause)
         self._talk.exchange("$I", pause)
         self._talk.exchange("$$", pause)
         self._check_settings()
-        self._identity = self._identified()
+        self._identity = identity_of(self._talk)
         return self._identity
-
-    def _identified(self) -> Identity:
-        banner, feedback = self._talk.dialogue.banner, self._talk.dialogue.feedback
-        version, _, label = feedback.get("VER", "").partition(":")
-        if not version:
-            raise FrameError(f"{self._name}: $I was answered without a version; is this a Grbl?")
-        model = banner.firmware if banner else "Grbl"
-        return Identity(family="grbl", model=model, firmware=version, serial=label)
 
     def _check_settings(self) -> None:
         if self._talk.setting(13):
             raise Refused(f"{self._name}: reports inches; set $13=0 on the controller", code=13)
-        code, expected = 100 + self._index(), self._settings.steps_per_unit
-        steps = self._talk.rate(code)
-        if abs(steps - expected) > 0.00051:  # $$ prints three decimals
-            raise Refused(
-                f"{self._name}: ${code} is {steps:g} steps a {self._settings.unit}, {expected:g}"
-                f" expected; set ${code}={expected:g} or correct the station",
-                code=code,
-            )
-        if self._tolerance() < 0.5 / steps + 0.0005:
-            raise Refused(
-                f"{self._name}: a tolerance of {self._tolerance():.6f} {self._settings.unit} is"
-                f" finer than half a step of {1 / steps:.6f} and the report's 0.001; widen it"
-            )
+        code = 100 + self._index()
+        self._settings.check_steps(self._talk.rate(code), code=code)
 
     def _idle(self, pause: Pause) -> Status:
         status = self._talk.status(pause)
@@ -584,7 +362,7 @@ class GrblAxis:
 
     def _axis_state(self, status: Status) -> AxisState:
         position = self._settings.from_wire(self._position(status))
-        motion = _motion(status)
+        motion = motion_of(status)
         alarm = self._talk.alarm_text() if motion is Motion.ALARM else ""
         return AxisState(motion, position, self._homed, alarm)
 
@@ -593,28 +371,10 @@ class GrblAxis:
         return self._machine(status) - self._zero
 
     def _machine(self, status: Status) -> float:
-        offset = self._talk.dialogue.work_offset
-        if status.machine is not None:
-            vector = status.machine
-        elif status.work is not None and offset is not None and len(offset) == len(status.work):
-            vector = tuple(w + o for w, o in zip(status.work, offset, strict=True))
-        else:
-            raise FrameError(f"{self._name}: reports work positions without offset; set $10=3")
-        if self._index() >= len(vector):
-            raise FrameError(
-                f"{self._name}: a report of {len(vector)} axes has no {self._settings.letter}"
-            )
-        return vector[self._index()]
+        return machine_coordinate(self._talk, status, self._settings.letter)
 
     def _index(self) -> int:
-        """Place of our letter; grblHAL prints its letters as ``[AXS:4:XYZA]``."""
-        letters = self._talk.dialogue.feedback.get("AXS", "").partition(":")[2] or _LETTERS
-        index = letters.find(self._settings.letter)
-        if index < 0:
-            raise FrameError(
-                f"{self._name}: the controller has {letters}, no {self._settings.letter}"
-            )
-        return index
+        return axis_index(self._talk, self._settings.letter)
 
     # --- quantities --------------------------------------------------------------------------
 
@@ -628,18 +388,6 @@ class GrblAxis:
 
     def _tolerance(self) -> float:
         return self._settings.to_wire(self._settings.tolerance)
-
-    def _check_limits(self, position: float) -> None:
-        if not math.isfinite(position):
-            raise ValueError(f"{self._name}: {position} is no position")
-        if not self._settings.lower <= position <= self._settings.upper:
-            lower, upper, wanted = map(
-                self._settings.to_wire, (self._settings.lower, self._settings.upper, position)
-            )
-            raise Refused(
-                f"{self._name}: {wanted:.3f} {self._settings.unit} is outside its limits"
-                f" {lower:.3f} to {upper:.3f}; change the plan"
-            )
 
     def _feed_per_min(self) -> float:
         return min(
@@ -655,37 +403,3 @@ class GrblAxis:
         if self._identity is None:
             return 1.0
         return self._feed_per_min() / 60 / self._talk.rate(120 + self._index())
-
-
-_ENDING_OF: Final = {State.RUN: Realtime.HOLD, State.JOG: Realtime.JOG_CANCEL}
-_STANDING_SUBSTATES: Final = {State.HOLD: (0,), State.DOOR: (0, 1)}
-
-
-def _motion(status: Status) -> Motion:
-    match status.state:
-        case State.ALARM | State.SLEEP:
-            return Motion.ALARM
-        case State.HOME:
-            return Motion.HOMING
-        case State.RUN | State.JOG:
-            return Motion.MOVING
-        case State.HOLD | State.DOOR if not _is_held(status):
-            return Motion.MOVING
-        case _:
-            return Motion.STANDING
-
-
-def _place(status: Status) -> Vector | None:
-    """Where every axis is, in whatever coordinates the controller reports."""
-    return status.machine or status.work
-
-
-def _rests(before: Status, now: Status) -> bool:
-    """Two like reports of a standing axis."""
-    like = (before.state, _place(before)) == (now.state, _place(now))
-    return like and _motion(now) is not Motion.MOVING
-
-
-def _is_held(status: Status) -> bool:
-    """Standing in the middle of a motion: a reset keeps the position and drops the rest."""
-    return status.substate in _STANDING_SUBSTATES.get(status.state, ())

@@ -1,172 +1,32 @@
-"""STEP, IGES and 3DM against a naive evaluator: other programs must see what we mean."""
+"""STEP and IGES against a naive evaluator: other programs must see what we mean."""
 
 from __future__ import annotations
 
 import dataclasses
 import re
 import sys
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from reconstruction.errors import MissingExtra
-from reconstruction.exporting import (
-    read_step,
-    read_threedm,
-    write_iges,
-    write_step,
-    write_threedm,
-)
+from reconstruction.exporting import read_step, read_threedm, write_iges, write_step
 from reconstruction.exporting.knots import clamped, distinct, flat
 from reconstruction.nurbs.values import Curve, Surface
-
-LARGEST_DIFFERENCE_MM = 1e-6
-STAMP = "2026-01-02T03:04:05+00:00"
-PROVENANCE = {"input": Path("/somewhere/secret/UHU.pcd"), "settings": {"cell_mm": 4.0}}
-
-
-# --- the naive evaluator -------------------------------------------------------------------------
-
-
-def naive_basis(i: int, p: int, t: float, knots: tuple[float, ...], end: float) -> float:
-    """The textbook recursion; the last span before `end` is closed on the right."""
-    if p == 0:
-        inside = knots[i] <= t < knots[i + 1]
-        return float(inside or (t == end and knots[i] < end == knots[i + 1]))
-    total = 0.0
-    if knots[i + p] > knots[i]:
-        total += (t - knots[i]) / (knots[i + p] - knots[i]) * naive_basis(i, p - 1, t, knots, end)
-    if knots[i + p + 1] > knots[i + 1]:
-        total += (
-            (knots[i + p + 1] - t)
-            / (knots[i + p + 1] - knots[i + 1])
-            * naive_basis(i + 1, p - 1, t, knots, end)
-        )
-    return total
-
-
-def naive_row(degree, knots, count, periodic, t):
-    """The values of all `count` basis functions at t; wrapped ones are added to their originals."""
-    row = np.zeros(count)
-    end = float(knots[len(knots) - 1 - degree])
-    for i in range(len(knots) - degree - 1):
-        row[i % count if periodic else i] += naive_basis(i, degree, t, tuple(knots.tolist()), end)
-    return row
-
-
-def naive_surface_point(surface: Surface, u: float, v: float):
-    rows, columns = surface.weights.shape
-    in_u = naive_row(surface.degree_u, surface.knots_u, rows, surface.periodic_u, u)
-    in_v = naive_row(surface.degree_v, surface.knots_v, columns, surface.periodic_v, v)
-    weights = in_u[:, None] * in_v * surface.weights
-    return (weights[..., None] * surface.control_points_mm).sum(axis=(0, 1)) / weights.sum()
-
-
-def naive_curve_point(curve: Curve, t: float):
-    weights = curve.weights * naive_row(
-        curve.degree, curve.knots, len(curve.weights), curve.periodic, t
-    )
-    return weights @ curve.control_points_mm / weights.sum()
-
-
-# --- samples ------------------------------------------------------------------------------------
-
-
-def sample_knots(degree, count, *, periodic, seed, multiple=None, clamped=True):
-    """Uneven knots; `multiple` is the index in one period of a knot that stands twice."""
-    rng = np.random.default_rng(seed)
-    if periodic:
-        steps = rng.uniform(0.5, 2.0, count)
-        if multiple is not None:
-            steps[multiple] = 0.0
-        steps = np.tile(steps, 2 * degree // count + 3)
-        knots = np.concatenate([[0.0], steps.cumsum()])[: count + 2 * degree + 1]
-        return knots - knots[degree] + 0.25
-    knots = rng.uniform(0.5, 2.0, count + degree + 1).cumsum()
-    if clamped:
-        knots[: degree + 1] = knots[degree]
-        knots[count:] = knots[count]
-    return knots
-
-
-def sample_surface(
-    degrees, counts, periodic, *, rational, seed=0, multiple=None, clamped=True
-) -> Surface:
-    """A dented tube, or a dented ring where v is periodic, too."""
-    rng = np.random.default_rng(seed)
-    around = np.linspace(0.0, 2 * np.pi * (1.0 if periodic[0] else 0.8), counts[0], endpoint=False)
-    along = np.linspace(0.0, 2 * np.pi if periodic[1] else 3.0, counts[1], endpoint=False)
-    u, v = np.meshgrid(around, along, indexing="ij")
-    tube = 10.0 + rng.uniform(0.0, 2.0, u.shape)
-    if periodic[1]:
-        far = 40.0 + tube * np.cos(u)
-        points = np.stack([far * np.cos(v), far * np.sin(v), tube * np.sin(u)], axis=-1)
-    else:
-        points = np.stack([tube * np.cos(u), tube * np.sin(u), 15.0 * v], axis=-1)
-    (p, q), (nu, nv) = degrees, counts
-    return Surface(
-        degree_u=p,
-        degree_v=q,
-        knots_u=sample_knots(p, nu, periodic=periodic[0], seed=seed, multiple=multiple),
-        knots_v=sample_knots(q, nv, periodic=periodic[1], seed=seed + 1, clamped=clamped),
-        control_points_mm=points,
-        weights=rng.uniform(0.5, 2.0, counts) if rational else np.full(counts, 1.0),
-        periodic_u=periodic[0],
-        periodic_v=periodic[1],
-    )
-
-
-def with_poles(surface: Surface) -> Surface:
-    """The same tube with each end drawn into a point, as caps are."""
-    points = surface.control_points_mm.copy()
-    points[:, 0], points[:, -1] = points[:, 0].mean(axis=0), points[:, -1].mean(axis=0)
-    return dataclasses.replace(
-        surface, control_points_mm=points, weights=np.ones_like(surface.weights)
-    )
-
-
-SURFACES = {
-    "open": sample_surface((3, 3), (9, 7), (False, False), rational=False),
-    "open-rational": sample_surface((3, 2), (9, 7), (False, False), rational=True),
-    "open-degree-1": sample_surface((1, 1), (6, 4), (False, False), rational=False),
-    "unclamped-in-v": sample_surface((3, 3), (9, 7), (True, False), rational=True, clamped=False),
-    "periodic-two-sections": sample_surface((3, 1), (12, 2), (True, False), rational=False),
-    "periodic-many-degree-1": sample_surface((3, 1), (12, 6), (True, False), rational=False),
-    "periodic-rational": sample_surface((3, 2), (12, 5), (True, False), rational=True),
-    "periodic-degree-2": sample_surface((2, 3), (10, 6), (True, False), rational=False),
-    "periodic-polygon": sample_surface((1, 1), (8, 3), (True, False), rational=True),
-    "periodic-3-points": sample_surface((3, 3), (3, 4), (True, False), rational=True),
-    "double-knot": sample_surface((3, 2), (12, 5), (True, False), rational=True, multiple=7),
-    "double-at-seam": sample_surface((3, 2), (12, 5), (True, False), rational=True, multiple=3),
-    "double-before": sample_surface((3, 2), (9, 5), (True, False), rational=True, multiple=2),
-    "closed-by-poles": with_poles(
-        sample_surface((3, 3), (12, 7), (True, False), rational=False)
-    ),
-    "ring": sample_surface((3, 3), (9, 12), (True, True), rational=False),
-    "ring-rational": sample_surface((2, 3), (9, 12), (True, True), rational=True),
-}  # fmt: skip
-every_surface = pytest.mark.parametrize("key", SURFACES)
-
-
-@cache
-def probes(key: str, count: int = 500):
-    """Random parameters with the corners of the domain, and the naive points there."""
-    surface = SURFACES[key]
-    (u0, u1), (v0, v1) = surface.domain
-    inside = np.random.default_rng(7).uniform((u0, v0), (u1, v1), (count - 4, 2))
-    corners = [(u0, v0), (u0, v1), (u1, v0), (u1, v1)]
-    parameters = np.concatenate([inside, corners])
-    return parameters, np.array([naive_surface_point(surface, u, v) for u, v in parameters])
-
-
-def save_step(path: Path, surfaces: list[Surface], name: str = "vase") -> None:
-    write_step(path, surfaces, name=name, provenance=PROVENANCE, time_stamp=STAMP)
-
-
-def save_threedm(path: Path, surfaces: list[Surface], curves: list[Curve]) -> None:
-    write_threedm(path, surfaces, curves, name="vase", provenance=PROVENANCE)
+from tests.reconstruction.cad_samples import (
+    LARGEST_DIFFERENCE_MM,
+    PROVENANCE,
+    STAMP,
+    SURFACES,
+    every_surface,
+    naive_curve_point,
+    naive_surface_point,
+    probes,
+    sample_knots,
+    save_step,
+    save_threedm,
+)
 
 
 def step_shape(path: Path):
@@ -194,11 +54,6 @@ def step_faces(path: Path):
 @pytest.fixture
 def open_cascade() -> None:
     pytest.importorskip("OCP.Geom", reason="the extra 'cad' is not installed")
-
-
-@pytest.fixture
-def rhino():
-    return pytest.importorskip("rhino3dm", reason="the extra 'cad' is not installed")
 
 
 # --- the naive evaluator is itself right ----------------------------------------------------------
@@ -264,13 +119,6 @@ def test_a_period_cut_open_is_the_same_curve(degree, count, multiple) -> None:
         np.testing.assert_allclose(
             naive_curve_point(cut, t), naive_curve_point(whole, t), atol=1e-12
         )
-
-
-def test_a_3dm_seam_on_a_double_knot_is_cut_open_and_closed(tmp_path: Path, rhino) -> None:
-    save_threedm(tmp_path / "a.3dm", [SURFACES["double-at-seam"]], [])
-    (item,) = rhino.File3dm.Read(str(tmp_path / "a.3dm")).Objects
-    assert item.Geometry.IsClosed(0)
-    assert not item.Geometry.IsPeriodic(0)
 
 
 # --- STEP -----------------------------------------------------------------------------------------
@@ -431,80 +279,6 @@ def test_an_iges_file_says_millimetres_and_not_who_wrote_it(tmp_path: Path, capf
     assert f"H{getpass.getuser()}," not in settings
     assert str(tmp_path) not in settings
     assert capfd.readouterr() == ("", "")
-
-
-# --- 3DM ------------------------------------------------------------------------------------------
-
-
-@every_surface
-def test_rhino_evaluates_a_3dm_file_to_our_surface(key: str, tmp_path: Path, rhino) -> None:
-    path, (parameters, points) = tmp_path / "a.3dm", probes(key)
-    save_threedm(path, [SURFACES[key]], [])
-    (item,) = rhino.File3dm.Read(str(path)).Objects
-    assert item.Geometry.IsValid
-    seen = [item.Geometry.PointAt(u, v) for u, v in parameters]
-    assert np.abs([(p.X, p.Y, p.Z) - q for p, q in zip(seen, points, strict=True)]).max() < (
-        LARGEST_DIFFERENCE_MM
-    )
-
-
-@every_surface
-def test_read_threedm_gives_the_same_surface(key: str, tmp_path: Path, rhino) -> None:
-    path, (parameters, points) = tmp_path / "a.3dm", probes(key)
-    save_threedm(path, [SURFACES[key]], [])
-    ((again,), ()) = read_threedm(path)
-    seen = np.array([naive_surface_point(again, u, v) for u, v in parameters[::5]])
-    assert np.abs(seen - points[::5]).max() < LARGEST_DIFFERENCE_MM
-
-
-@pytest.mark.parametrize("key", ["periodic-rational", "ring", "ring-rational", "double-knot"])
-def test_3dm_keeps_periodic_directions(key: str, tmp_path: Path, rhino) -> None:
-    save_threedm(tmp_path / "a.3dm", [SURFACES[key]], [])
-    ((again,), ()) = read_threedm(tmp_path / "a.3dm")
-    wanted = SURFACES[key]
-    assert (again.periodic_u, again.periodic_v) == (wanted.periodic_u, wanted.periodic_v)
-    np.testing.assert_allclose(again.knots_u, wanted.knots_u, atol=1e-12)
-    np.testing.assert_allclose(again.control_points_mm, wanted.control_points_mm, atol=1e-12)
-
-
-@pytest.mark.parametrize("periodic", [True, False])
-@pytest.mark.parametrize("degree", [1, 2, 3])
-def test_rhino_evaluates_the_section_curves(periodic, degree, tmp_path: Path, rhino) -> None:
-    rng = np.random.default_rng(degree)
-    knots = sample_knots(degree, 9, periodic=periodic, seed=5)
-    curve = Curve(degree, knots, rng.normal(size=(9, 3)), rng.uniform(0.5, 2, 9), periodic)
-    save_threedm(tmp_path / "a.3dm", [SURFACES["ring"]], [curve])
-    model = rhino.File3dm.Read(str(tmp_path / "a.3dm"))
-    made = model.Objects[1].Geometry
-    (_, (again,)) = read_threedm(tmp_path / "a.3dm")
-    for t in [*curve.domain, *rng.uniform(*curve.domain, 100)]:
-        point, expected = made.PointAt(t), naive_curve_point(curve, t)
-        assert np.abs(np.array([point.X, point.Y, point.Z]) - expected).max() < 1e-6
-        assert np.abs(naive_curve_point(again, t) - expected).max() < 1e-6
-
-
-def test_a_3dm_file_says_millimetres_layers_names_and_provenance(tmp_path: Path, rhino) -> None:
-    curve = Curve(1, np.array([0.0, 0, 1, 1]), np.eye(3)[:2], np.ones(2), periodic=False)
-    save_threedm(tmp_path / "a.3dm", [SURFACES["ring"]], [curve])
-    model = rhino.File3dm.Read(str(tmp_path / "a.3dm"))
-    layers = [layer.Name for layer in model.Layers]
-    assert model.Settings.ModelUnitSystem == rhino.UnitSystem.Millimeters
-    seen = [(item.Attributes.Name, layers[item.Attributes.LayerIndex]) for item in model.Objects]
-    assert seen == [("vase patch 0", "surface"), ("vase section 0", "sections")]
-    assert "unit: mm\nname: vase\ninput: UHU.pcd\n" in model.StartSectionComments
-    assert model.Strings["loftscan\\settings.cell_mm"] == "4.0"
-    assert b"secret" not in (tmp_path / "a.3dm").read_bytes()
-
-
-def test_what_is_no_3dm_file_or_in_inches_is_refused(tmp_path: Path, rhino) -> None:
-    (tmp_path / "a.3dm").write_bytes(b"solid cube\n")
-    with pytest.raises(ValueError, match=r"a\.3dm: not a 3DM file$"):
-        read_threedm(tmp_path / "a.3dm")
-    model = rhino.File3dm()
-    model.Settings.ModelUnitSystem = rhino.UnitSystem.Inches
-    model.Write(str(tmp_path / "b.3dm"), 7)
-    with pytest.raises(ValueError, match=r"b\.3dm: unit Inches"):
-        read_threedm(tmp_path / "b.3dm")
 
 
 # --- without the extra ----------------------------------------------------------------------------
