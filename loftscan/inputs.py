@@ -83,9 +83,9 @@ class Input:
             yield chunk.points
 
     def _is_quick_to_read(self) -> bool:
-        """Whether the file itself is as good as a copy: large, and binary."""
+        """Whether the cloud itself is as good as a copy: an array, or a large binary file."""
         large = (self.cloud.point_count or 0) > _IN_MEMORY
-        return large and self.cloud.path is not None and not _is_text(self.cloud)
+        return self.cloud.path is None or (large and not _is_text(self.cloud))
 
     def _read(self) -> Iterator[FloatArray]:
         """Pass over the cloud in mm; the counts are those of the latest whole pass."""
@@ -134,7 +134,7 @@ def open_input(source: Path | str | ArrayLike, unit: Unit) -> Input:
 
 
 def _is_text(cloud: Cloud) -> bool:
-    return cloud.format in {"text", "csv"} or "ascii" in cloud.format
+    return cloud.format in {"xyz", "pts", "txt", "csv"} or "ascii" in cloud.format
 
 
 _HEADER = 128
