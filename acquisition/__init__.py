@@ -1,7 +1,8 @@
 """The station: what moves when, where the sensor stands, and what is kept.
 
 Imports the drivers' values and numpy, nothing of reconstruction and no scipy: the process that
-owns the laser stays small. A scan's slices go into a .scan folder, which others follow.
+owns the laser stays small. `acquisition.scan.scan` yields slices; a `ScanWriter` keeps them in a
+.scan folder, which others follow.
 """
 
 from acquisition.errors import (
@@ -13,6 +14,8 @@ from acquisition.errors import (
     StorageFailed,
 )
 from acquisition.frames import Kinematics, part_points, ring_plane
+from acquisition.lease import Lease, lasing
+from acquisition.opening import OpenStation, open_station
 from acquisition.plan import Plan, Target, check_plan, estimate, read_plan, ring, targets
 from acquisition.poses import Pose, Sweep
 from acquisition.scan_record import ScanRecord, State
@@ -24,7 +27,9 @@ __all__ = [
     "AlreadyKept",
     "DamagedSlice",
     "Kinematics",
+    "Lease",
     "NotAScan",
+    "OpenStation",
     "Plan",
     "Pose",
     "ScanFolder",
@@ -39,6 +44,8 @@ __all__ = [
     "Verification",
     "check_plan",
     "estimate",
+    "lasing",
+    "open_station",
     "part_points",
     "read_plan",
     "read_station",

@@ -143,6 +143,11 @@ def check_plan(plan: Plan, station: Station, name: str = "plan.toml") -> None:
             f"{name}: ring: a turn from 0 to {last_deg:g} deg leaves the table's soft limits"
             f" {table.lowest_deg} to {table.highest_deg}; widen them in the station's [table]"
         )
+    if table.lowest_deg > -table.backlash_deg:
+        raise ValueError(
+            f"{name}: ring: 0 deg is approached from backlash_deg {table.backlash_deg} below, past"
+            f" the soft limit lowest_deg {table.lowest_deg}; lower it in the station's [table]"
+        )
 
 
 def estimate(plan: Plan, station: Station) -> Estimate:

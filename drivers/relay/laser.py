@@ -2,7 +2,8 @@
 
 `WatchedBlock` drops its outputs by itself when nobody talks to it any more; `PlainRelay` keeps
 them for ever. Both read back what they switched, and neither believes its own memory: off is sent
-whatever the state is thought to be. Software-off is no safety function; see decision 0002.
+whatever the state is thought to be. Software-off is no safety function; see
+docs/protocols/relay.md for who guarantees what.
 """
 
 from __future__ import annotations

@@ -1,0 +1,258 @@
+"""From what station.toml says to devices that answer, and back to a station at rest.
+
+::
+
+    way in    laser: link, off, its watchdog  >  table  >  stage  >  profiler
+    way out   laser off  <  stage stops  <  table stops  <  laser off again  <  its link closes
+
+The first bytes to the laser are off. Every way out is gone to its end: what fails there does not
+keep the rest from being done, the first error is the one that is raised, the others are its notes.
+Opening moves nothing, and asks only the laser's switch anything.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+
+from acquisition.lease import at_last
+from acquisition.station import (
+    BaumerOx,
+    GrblTable,
+    LeadshineModel,
+    LeadshineStage,
+    NoLaserSwitch,
+    OutputBy,
+    RelayFamily,
+    RelayLaser,
+    Station,
+    TableZero,
+)
+from drivers import baumer_ox, grbl, leadshine, relay
+from drivers.addresses import SerialAddress, TcpAddress, UdpAddress, parse_address
+from drivers.axis import Axis, Identity, Kind
+from drivers.laser import Guarantee, LaserSwitch
+from drivers.links import ByteLink, open_link
+from drivers.modbus import Framing, ModbusBus, rtu_silence_s
+from drivers.profiler import Profiler
+
+Clock = Callable[[], float]
+Sleep = Callable[[float], None]
+
+# One degree written in two ways is two numbers: a stop at the very limit is inside it.
+_ROUNDING_RAD = 1e-9
+_REPLY_S = {Framing.RTU: 0.2, Framing.TCP: 0.5}  # a network's worst is worse than a cable's
+_SLOWEST_REPLY_S = {Framing.RTU: 0.3, Framing.TCP: 0.5}
+_MODELS = {
+    LeadshineModel.EM2RS: leadshine.Model.EM,
+    LeadshineModel.CS2RS: leadshine.Model.CS2RS,
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenStation:
+    """A station whose links are open; made by `open_station`."""
+
+    settings: Station
+    table: Axis
+    stage: Axis
+    profiler: Profiler
+    laser: LaserSwitch
+    guarantee: Guarantee  # what the laser's switch promised when it was opened
+    clock: Clock
+    sleep: Sleep
+
+
+@contextmanager
+def open_station(
+    station: Station,
+    *,
+    clock: Clock = time.monotonic,
+    sleep: Sleep = time.sleep,
+    links: Callable[[str], ByteLink] = open_link,
+) -> Iterator[OpenStation]:
+    """Open every device; laser off, axes stopped and links closed on every way out.
+
+    Parameters
+    ----------
+    clock, sleep
+        Monotonic seconds, and how to let some pass.
+    links
+        Opens an address; a wire log or a test's loopbacks come in here.
+
+    Raises
+    ------
+    ValueError
+        The station holds what a driver cannot do; nothing has been opened.
+    DriverError
+        A device is not there or said no; names it.
+    """
+    table_settings = grbl_settings(station.table)
+    stage_settings = leadshine_settings(station.stage)
+    profiler_settings = baumer_ox_settings(station.profiler)
+    with ExitStack() as endings:
+        wires = _Wires(links, clock, sleep, endings)
+        laser = _laser(station.laser, wires)
+        endings.enter_context(at_last(laser.off))
+        laser.off()
+        guarantee = laser.guarantee()
+        table = grbl.GrblAxis(wires.link(station.table.address), table_settings, clock=clock)
+        endings.enter_context(at_last(table.stop))
+        bus = wires.bus(station.stage.address)
+        stage = leadshine.LeadshineStage(bus, station.stage.device_id, stage_settings, clock=clock)
+        endings.enter_context(at_last(stage.stop))
+        profiler = _profiler(station.profiler, profiler_settings, wires)
+        endings.enter_context(at_last(laser.off))  # before the axes, which may take their time
+        yield OpenStation(station, table, stage, profiler, laser, guarantee, clock, sleep)
+
+
+@contextmanager
+def at_rest_unless_done(station: OpenStation) -> Iterator[None]:
+    """Laser off, then the axes stopped, if the block is left by anything but its end."""
+    try:
+        yield
+    except BaseException:
+        with ExitStack() as endings:
+            for ending in (station.table.stop, station.stage.stop, station.laser.off):
+                endings.enter_context(at_last(ending))
+            raise
+
+
+def grbl_settings(table: GrblTable) -> grbl.Settings:
+    """Degrees of the file to radians of the driver."""
+    switch = table.zero is TableZero.SWITCH
+    return grbl.Settings(
+        name="table",
+        kind=Kind.ROTARY,
+        letter=table.letter.value,
+        steps_per_unit=table.steps_per_deg,
+        lower=math.radians(table.lowest_deg) - _ROUNDING_RAD,
+        upper=math.radians(table.highest_deg) + _ROUNDING_RAD,
+        speed=math.radians(table.speed_deg_s),
+        tolerance=math.radians(table.tolerance_deg),
+        homing=grbl.Homing.SWITCH if switch else grbl.Homing.SOFTWARE_ZERO,
+        home_position=math.radians(table.zero_deg),
+        backlash=math.radians(table.backlash_deg),
+    )
+
+
+def leadshine_settings(stage: LeadshineStage) -> leadshine.StageSettings:
+    """Names of the file to what the drive's registers mean by them."""
+    return leadshine.StageSettings(
+        model=_MODELS[stage.model],
+        pulses_per_rev=stage.pulses_per_turn,
+        lead_mm=stage.screw_lead_mm,
+        low_mm=stage.lowest_mm,
+        high_mm=stage.highest_mm,
+        speed_mm_s=stage.speed_mm_s,
+        tolerance_mm=stage.tolerance_mm,
+        homing=leadshine.Homing(
+            method=leadshine.HomingMethod[stage.home_mark.name],
+            sense=leadshine.HomingSense[stage.home_way.value.upper()],
+            fast_mm_s=stage.home_fast_mm_s,
+            slow_mm_s=stage.home_slow_mm_s,
+            reference_mm=stage.home_position_mm,
+        ),
+        acceleration_ms=stage.ramp_ms_per_1000_rpm,
+        deceleration_ms=stage.ramp_ms_per_1000_rpm,
+    )
+
+
+def baumer_ox_settings(profiler: BaumerOx) -> baumer_ox.Settings:
+    """Scales that the sensor itself does not tell."""
+    return baumer_ox.Settings(
+        x_mm_per_count=profiler.x_mm_per_count,
+        z_mm_per_count=profiler.z_mm_per_count,
+        x_offset_mm=profiler.x_offset_mm,
+        z_offset_mm=profiler.z_offset_mm,
+        device_id=profiler.device_id,
+    )
+
+
+class _Wires:
+    """Each link opened once and closed on the way out; devices at one address share its bus."""
+
+    def __init__(
+        self, links: Callable[[str], ByteLink], clock: Clock, sleep: Sleep, endings: ExitStack
+    ) -> None:
+        self.clock = clock
+        self.sleep = sleep
+        self._links = links
+        self._endings = endings
+        self._buses: dict[SerialAddress | TcpAddress | UdpAddress, ModbusBus] = {}
+
+    def link(self, address: str) -> ByteLink:
+        link = self._links(address)
+        self._endings.enter_context(at_last(link.close))
+        return link
+
+    def bus(self, address: str) -> ModbusBus:
+        """Modbus RTU on a serial port, Modbus TCP over TCP."""
+        place = replace(parse_address(address), text="")  # however it is spelled
+        if place not in self._buses:
+            serial = isinstance(place, SerialAddress)
+            framing = Framing.RTU if serial else Framing.TCP
+            self._buses[place] = ModbusBus(
+                self.link(address),
+                framing,
+                timeout_s=_REPLY_S[framing],
+                slowest_reply_s=_SLOWEST_REPLY_S[framing],
+                silence_s=rtu_silence_s(place.baud) if isinstance(place, SerialAddress) else 0.0,
+                clock=self.clock,
+                sleep=self.sleep,
+            )
+        return self._buses[place]
+
+
+def _profiler(settings: BaumerOx, scales: baumer_ox.Settings, wires: _Wires) -> baumer_ox.BaumerOx:
+    bus, link = wires.bus(settings.address), wires.link(settings.profiles)
+    profiler = baumer_ox.BaumerOx(bus, link, scales, clock=wires.clock)
+    if settings.setup is not None:
+        profiler.load_setup(settings.setup, wires.sleep)
+    return profiler
+
+
+def _laser(settings: RelayLaser | NoLaserSwitch, wires: _Wires) -> LaserSwitch:
+    if isinstance(settings, NoLaserSwitch):
+        return _Unswitched()
+    by_coil = settings.output_by is OutputBy.COIL
+    if settings.family is RelayFamily.PLAIN and not by_coil:
+        raise ValueError('laser.output_by: a plain relay has coils only; write "coil"')
+    bus, device_id = wires.bus(settings.address), settings.device_id
+    if settings.family is RelayFamily.PLAIN:
+        return relay.PlainRelay(
+            bus, device_id, settings.output, clock=wires.clock, sleep=wires.sleep
+        )
+    return relay.WatchedBlock(
+        bus,
+        device_id,
+        relay.Coil(settings.output) if by_coil else relay.OutputBit(settings.output),
+        watchdog_s=settings.watchdog_s or 0.0,
+        clock=wires.clock,
+        sleep=wires.sleep,
+    )
+
+
+class _Unswitched:
+    """No switch: the laser is on while the sensor has power, and nobody claims otherwise."""
+
+    def identify(self) -> Identity:
+        return Identity(family="none", model="no laser switch", firmware="")
+
+    def guarantee(self) -> Guarantee:
+        return Guarantee(
+            None,
+            "laser: nothing switches it; it is on while the sensor has power: stay at the station",
+        )
+
+    def on(self) -> None:
+        """Nothing to do."""
+
+    def off(self) -> None:
+        """Nothing that could be done."""
+
+    def is_on(self) -> bool:
+        return True

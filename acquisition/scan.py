@@ -1,0 +1,317 @@
+"""A scan: rings, step and shoot, one sweep after the other; the laser on only while it exposes.
+
+One stop of the table::
+
+    table    ~~move~~|                                  |~~move~~
+    settle           |......|
+    laser                    on ______________ off
+    profiler                    discard, profile
+    read back                                    pose
+
+Everything waits in steps of 50 ms at most, and looks for the operator's stop in each of them.
+Between slices nothing moves, the laser is off and the table is back at 0: there, and only there,
+the generator rests, so that closing it late leaves nothing on. The laser's own way out is
+`open_station`, whose block stands around the loop that takes the sweeps.
+
+An axis that is not homed is homed first. Not so a table whose zero is software when a scan is
+resumed: homing it makes its present angle 0, and the slices would be turned against those kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Generator
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from acquisition.errors import AcquisitionError
+from acquisition.lease import LONGEST_WAIT_S, TTL_S, Lease, LeaseLapsed, lasing, pausing
+from acquisition.opening import OpenStation, at_rest_unless_done
+from acquisition.plan import Plan, Target, check_plan, targets
+from acquisition.poses import Pose, Sweep
+from acquisition.station import BaumerOx, TableZero
+from drivers.axis import Axis, AxisState, Motion
+from drivers.errors import NoReply, Refused
+from drivers.profiler import Profile, Reason
+
+_TRIES = 4  # an exposure, and three more for a profile that was lost
+_MOST_LOST_IN_A_ROW = 3  # stops: then it is the profiler that is lost
+_LOOK_S = LONGEST_WAIT_S / 2  # half, because switching on again takes its time, too
+_PATIENCE_S = 0.25  # for a profile, beside three periods of the sensor
+_TAKE_UP_MM = 0.5  # more than any screw's backlash
+_BRAKING_S = 5.0
+_UNDER_WAY = (Motion.MOVING, Motion.HOMING)
+
+
+class Stopped(AcquisitionError):  # noqa: N818 (the house names errors after the fact)
+    """The operator stopped amid a slice; it is not kept, those before it are."""
+
+
+class ZeroLost(AcquisitionError):  # noqa: N818
+    """The angles of the slices that are kept cannot be found again without a person."""
+
+
+class Wish(Enum):
+    """What the operator wants."""
+
+    GO_ON = "go on"
+    PAUSE = "pause at the slice's border"
+    STOP = "stop now"
+
+
+class StopRequest:
+    """The one thing that travels against the stream; set by signal handlers or another thread."""
+
+    def __init__(self) -> None:
+        self._wish = Wish.GO_ON
+
+    @property
+    def wish(self) -> Wish:
+        """What was asked for so far."""
+        return self._wish
+
+    def ask(self, *_signal: object) -> None:
+        """Pause at the border; asked twice, stop now. A handler for SIGINT as it is."""
+        self._wish = Wish.PAUSE if self._wish is Wish.GO_ON else Wish.STOP
+
+    def now(self, *_signal: object) -> None:
+        """Stop now. A handler for SIGTERM and SIGHUP as it is."""
+        self._wish = Wish.STOP
+
+    def look(self) -> None:
+        """Raise `Stopped` if it is to stop now."""
+        if self._wish is Wish.STOP:
+            raise Stopped("stopped amid a slice; what was kept is safe, resume takes the rest")
+
+
+class PartStands(Enum):
+    """What a person says of the part when a scan is resumed."""
+
+    ANYWHERE = "nobody says"
+    AT_ZERO = "the table stands where the scan's first slice had its zero"
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far a scan is, told after every stop of the table."""
+
+    index: int  # of the slice
+    slices_done: int  # before this one
+    slices: int  # to be taken
+    stops_done: int  # of this slice
+    stops: int
+    lost_profiles: int  # never came, in this scan
+
+
+def scan(
+    station: OpenStation,
+    plan: Plan,
+    *,
+    stop: StopRequest,
+    indices: Collection[int] | None = None,
+    part: PartStands = PartStands.ANYWHERE,
+    progress: Callable[[Progress], None] = lambda _: None,
+) -> Generator[Sweep]:
+    """Take the slices of a plan, lowest first; ends early at a slice's border when asked to.
+
+    Parameters
+    ----------
+    indices
+        Of the slices to take, as `ScanFolder.missing` gives them to a resume; all when absent.
+    part
+        Needed to resume with a software zero: the table is homed where it stands.
+
+    Raises
+    ------
+    ValueError
+        At once: the plan leaves the soft limits, or has no slice of an index.
+    Stopped
+        The operator asked twice; the laser is off and the axes are stopped.
+    ZeroLost
+        See the module.
+    LeaseLapsed, DriverError
+        The laser is off and the axes are stopped; the slice under way is not kept.
+    """
+    check_plan(plan, station.settings)
+    whole = range(plan.ring.count)
+    wanted = sorted(set(whole if indices is None else indices))
+    if unknown := [index for index in wanted if index not in whole]:
+        raise ValueError(f"plan: it has the slices 0 to {whole[-1]}, no slice {unknown[0]}")
+    taken = [target for target in targets(plan) if target.index in set(wanted)]
+    return _Scan(station, plan, stop, part, progress).sweeps(taken)
+
+
+def lost_profile(settings: BaumerOx) -> Profile:
+    """Stand in for a profile that never came: its places, every one of them LOST."""
+    points = settings.points_per_profile
+    return Profile(
+        counts=np.zeros((points, 2), np.int32),
+        scale_mm=(settings.x_mm_per_count, settings.z_mm_per_count),
+        offset_mm=(settings.x_offset_mm, settings.z_offset_mm),
+        reasons=np.full(points, Reason.LOST, np.uint8),
+        intensity=np.empty(0, np.uint16),
+        sensor_time_s=0.0,
+        encoder=0,
+        frame=-1,
+    )
+
+
+class _Scan:
+    """One run over some slices: the devices, the lease, and what was lost on the way."""
+
+    def __init__(
+        self,
+        station: OpenStation,
+        plan: Plan,
+        stop: StopRequest,
+        part: PartStands,
+        progress: Callable[[Progress], None],
+    ) -> None:
+        self._station = station
+        self._plan = plan
+        self._stop = stop
+        self._part = part
+        self._progress = progress
+        self._lease = Lease(TTL_S, station.clock)
+        self._pause = pausing(self._lease, stop.look, station.sleep)
+        self._patience_s = _PATIENCE_S + 3.0 / station.settings.profiler.rate_hz
+        self._lost_profiles = 0
+        self._lost_in_a_row = 0
+
+    def sweeps(self, wanted: list[Target]) -> Generator[Sweep]:
+        for done, target in enumerate(wanted):
+            if self._stop.wish is Wish.PAUSE:
+                return
+            with at_rest_unless_done(self._station):
+                self._stop.look()
+                if not done:
+                    self._prepare(resumed=len(wanted) < self._plan.ring.count)
+                sweep = self._sweep(target, done, len(wanted))
+            yield sweep
+
+    def _prepare(self, *, resumed: bool) -> None:
+        """Laser off, everybody who they should be, both axes standing and homed."""
+        station = self._station
+        station.laser.off()
+        for device in (station.laser, station.profiler, station.table, station.stage):
+            device.identify()
+        for axis in (station.stage, station.table):
+            self._bring_to_rest(axis)
+        if resumed and not station.table.state().homed:
+            self._must_know_the_zero()
+        for axis in (station.stage, station.table):
+            if not axis.state().homed:
+                axis.home(self._pause)
+
+    def _must_know_the_zero(self) -> None:
+        software = self._station.settings.table.zero is TableZero.SOFTWARE_ZERO
+        if software and self._part is not PartStands.AT_ZERO:
+            raise ZeroLost(
+                "table: its software zero is forgotten, so that new slices would be turned against"
+                " those kept; turn it back to where the scan began and say so, or scan anew"
+            )
+
+    def _bring_to_rest(self, axis: Axis) -> None:
+        """Stop what a program that died may have left moving."""
+        if axis.state().motion not in _UNDER_WAY:
+            return
+        axis.stop()
+        deadline_s = self._station.clock() + _BRAKING_S
+        while axis.state().motion in _UNDER_WAY:
+            if self._station.clock() >= deadline_s:
+                raise Refused(
+                    f"{self._name(axis)}: still moves {_BRAKING_S} s after its stop; press the"
+                    " emergency stop"
+                )
+            self._pause(LONGEST_WAIT_S)
+
+    def _sweep(self, target: Target, done: int, slices: int) -> Sweep:
+        self._lift_to(target.stage_mm)
+        profiles: list[Profile] = []
+        poses: list[Pose] = []
+        stops = len(target.table_rad)
+        for number, table_rad in enumerate(target.table_rad, start=1):
+            self._station.table.move_to(table_rad, self._pause)
+            self._pause(self._plan.step_and_shoot.settle_s)
+            for _ in range(self._plan.step_and_shoot.profiles_per_stop):
+                profiles.append(self._profile())
+                poses.append(self._pose())
+            lost = self._lost_profiles
+            self._progress(Progress(target.index, done, slices, number, stops, lost))
+        self._station.table.move_to(0.0, self._pause)
+        return Sweep(target.index, tuple(profiles), tuple(poses))
+
+    def _lift_to(self, stage_mm: float) -> None:
+        """Come from below, always: the screw's backlash is taken up by the way it comes."""
+        stage, lowest_mm = self._station.stage, self._station.settings.stage.lowest_mm
+        if stage.state().position > stage_mm:
+            stage.move_to(max(lowest_mm, stage_mm - _TAKE_UP_MM), self._pause)
+        stage.move_to(stage_mm, self._pause)
+
+    def _profile(self) -> Profile:
+        """One profile that is whole, or after some tries the fullest, or none but LOST points."""
+        best: Profile | None = None
+        silence: NoReply | None = None
+        for tries_left in reversed(range(_TRIES)):
+            try:
+                seen = self._expose()
+            except LeaseLapsed:
+                if not tries_left:
+                    raise
+                continue
+            if isinstance(seen, NoReply):
+                silence = seen
+                continue
+            self._lost_in_a_row = 0
+            best = seen if best is None else min(best, seen, key=_lost_points)
+            if not _lost_points(best):
+                break
+        return best or self._count_lost(silence)
+
+    def _expose(self) -> Profile | NoReply:
+        """Laser on, what came before thrown away, the next profile if one comes, laser off."""
+        station = self._station
+        with lasing(station.laser, self._lease) as keep_on:
+            station.profiler.discard()
+            deadline_s = station.clock() + self._patience_s
+            while True:
+                self._stop.look()
+                try:
+                    return next(station.profiler.profiles(_LOOK_S))
+                except NoReply as silence:
+                    if station.clock() >= deadline_s:
+                        return silence
+                keep_on()
+
+    def _count_lost(self, silence: NoReply | None) -> Profile:
+        self._lost_profiles += 1
+        self._lost_in_a_row += 1
+        if self._lost_in_a_row >= _MOST_LOST_IN_A_ROW:
+            raise NoReply(
+                f"profiler: nothing at {self._lost_in_a_row} stops in a row, {_TRIES} exposures of"
+                f" {self._patience_s:.2f} s each ({silence})"
+            ) from silence
+        return lost_profile(self._station.settings.profiler)
+
+    def _pose(self) -> Pose:
+        table, stage = self._standing(self._station.table), self._standing(self._station.stage)
+        return Pose(table.position, stage.position, self._station.clock())
+
+    def _standing(self, axis: Axis) -> AxisState:
+        """Read back, after the exposure: whoever lost its position meanwhile has none to tell."""
+        state = axis.state()
+        if state.motion is Motion.STANDING and state.homed:
+            return state
+        raise Refused(
+            f"{self._name(axis)}: it stood for a profile and now is {state.motion.value}"
+            f"{'' if state.homed else ', no longer homed'} {state.alarm}".rstrip()
+            + "; remove the cause and home it"
+        )
+
+    def _name(self, axis: Axis) -> str:
+        return "table" if axis is self._station.table else "stage"
+
+
+def _lost_points(profile: Profile) -> int:
+    return int(np.count_nonzero(profile.reasons == Reason.LOST))
