@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from loftscan.inputs import Unit, open_input
+from loftscan.rendering import Axis
 from loftscan.result import appearing_whole
 from reconstruction.arrays import FloatArray
 from reconstruction.comparison import Align, Deviation, compare_clouds, compare_to_mesh
@@ -29,6 +30,7 @@ class Thing:
     name: str
     mesh: Mesh | None
     points_mm: FloatArray  # (n, 3) of the cloud, or the vertices of the mesh
+    up: Axis | None = None  # the stacking axis, where a result folder says it
 
     @property
     def kind(self) -> str:
@@ -43,6 +45,11 @@ class Comparison:
     measured: Thing  # whose points were measured
     reference: Thing
     deviation: Deviation
+
+    @property
+    def up(self) -> Axis:
+        """Which axis points upwards in pictures: what a result folder says, else z."""
+        return self.measured.up or self.reference.up or "z"
 
     @property
     def points_mm(self) -> FloatArray:
@@ -150,10 +157,21 @@ def open_thing(source: Path | str | ArrayLike, unit: Unit) -> Thing:
     if path.is_dir():
         if not (path / _RESULT_MESH).exists():
             raise UnreadableCloud(f"{path}: no {_RESULT_MESH} in it; is it a result folder?")
-        return _open_mesh(path / _RESULT_MESH, path.name, Unit.MM)
+        opened = _open_mesh(path / _RESULT_MESH, path.name, Unit.MM)
+        return replace(opened, up=_stacking_axis(path / "provenance.json"))
     if path.suffix.lower() in MESHES and path.is_file() and _has_faces(path):
         return _open_mesh(path, path.name, unit)
     return _open_cloud(path, unit)
+
+
+def _stacking_axis(path: Path) -> Axis | None:
+    """The axis of a result folder's settings; None for a folder that does not say it."""
+    try:
+        said = json.loads(path.read_text(encoding="utf-8"))["settings"]["axis"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    letters: dict[str, Axis] = {"x": "x", "y": "y", "z": "z"}
+    return letters.get(said)
 
 
 def _has_faces(path: Path) -> bool:

@@ -82,7 +82,7 @@ def _image(comparison: Comparison, limit_mm: float) -> ByteArray:
     points = comparison.points_mm
     distances = np.where(comparison.deviation.beyond, np.nan, comparison.deviation.distances_mm)
     colours = figures.deviation_colours(distances, limit_mm)
-    camera = camera_around(points)
+    camera = camera_around(points, up=comparison.up)
     measured = comparison.measured.mesh
     if measured is not None:
         moved = Mesh(points, measured.faces, measured.synthetic)
@@ -96,6 +96,7 @@ def _image(comparison: Comparison, limit_mm: float) -> ByteArray:
 def _table(comparison: Comparison) -> MetricGroup:
     plain = {k: v for k, v in comparison.metrics.items() if isinstance(v, (str, int, float))}
     facts = (
-        Fact(k.removesuffix("_mm"), v, "mm" if k.endswith("_mm") else "") for k, v in plain.items()
+        Fact(k.removesuffix("_mm").replace("_", " "), v, "mm" if k.endswith("_mm") else "")
+        for k, v in plain.items()
     )
     return MetricGroup("Deviation", tuple(facts))

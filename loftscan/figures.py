@@ -249,7 +249,7 @@ def cloud_figure(
     image = _render(Scene(points=(kept, other)), camera=camera, size_px=size_px)
     labels = [(_hex(_KEPT), f"{len(points_mm):,} points")]
     if len(aside):
-        labels.append((RED, f"{len(aside):,} set aside"))
+        labels.append((RED, f"{len(aside):,} set aside or left out"))
     return _labelled_picture(image, title, labels, camera)
 
 
