@@ -34,9 +34,10 @@ class CadWriter:
 
     def __enter__(self) -> Self:
         if self._formats:
+            # -P: no file of the folder we run in may hide a module of the child's.
             # In a session of its own: an operator's Ctrl-C is ours to answer, not the child's.
             self._child = subprocess.Popen(
-                [sys.executable, "-m", "loftscan.cad_files", *self._formats],
+                [sys.executable, "-P", "-m", "loftscan.cad_files", *self._formats],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
@@ -112,7 +113,7 @@ def write_files(folder: Path, name: str, formats: list[str]) -> None:
 
     surfaces = read_surface_json(folder / "surface.json")
     provenance = json.loads((folder / "surface.json").read_text(encoding="utf-8"))["provenance"]
-    if "step" in formats:
+    if "step" in formats and surfaces:  # without a patch there is nothing that STEP could hold
         write_step(folder / "surface.step", surfaces, name=name, provenance=provenance)
     if "3dm" in formats:
         curves = [record.curve for record in read_sections_json(folder / "sections.json")]

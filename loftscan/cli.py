@@ -122,7 +122,13 @@ def reconstruct(
 @app.command()
 def compare(
     a: Annotated[Path, typer.Argument(metavar="A", help="A cloud, a mesh or a result folder.")],
-    b: Annotated[Path, typer.Argument(metavar="B", help="The reference, the same.")],
+    b: Annotated[
+        Path,
+        typer.Argument(
+            metavar="B",
+            help="The reference, the same; of a mesh and a cloud, the cloud is measured.",
+        ),
+    ],
     out: Out,
     align: Annotated[str, typer.Option(help="none or best-fit.")] = "none",
     tolerance_mm: Tolerance = None,

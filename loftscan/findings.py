@@ -14,6 +14,7 @@ from reconstruction.setting_aside import Aside
 from reconstruction.slicing import Cutting
 
 _NOTABLE_SHARE = 0.02  # of a slice's points left out before the slice is named
+_NOTABLE_STRAYS = 0.005  # of all points
 _WIDE_GAP_SHARE = 0.25  # of a section's length
 
 
@@ -21,10 +22,12 @@ def judge(cutting: Cutting, done: Reconstruction) -> tuple[str, ...]:
     """Say what a person should know before using the surface; empty when there is nothing."""
     found = [
         _set_aside(cutting),
+        _strays(cutting),
         _left_out(done.sections),
         _wide_gaps(done.sections),
         _crossing(done.sections),
         _skipped(done),
+        _patchless(done),
         _lying(cutting, done.sections),
     ]
     return tuple(sentence for sentence in found if sentence)
@@ -35,6 +38,18 @@ def _set_aside(cutting: Cutting) -> str | None:
     if not plate:
         return None
     return f"{plate} points of the table plate under the part were set aside"
+
+
+def _strays(cutting: Cutting) -> str | None:
+    strays, points = cutting.aside.get(Aside.STRAY, 0), cutting.survey.points
+    if strays <= _NOTABLE_STRAYS * points:
+        return None
+    heights = cutting.aside_mm[Aside.STRAY][:, cutting.axis.column]
+    return (
+        f"{strays} points ({strays / points:.1%}) between {heights.min():.4g} and "
+        f"{heights.max():.4g} mm look stray and were set aside: small clusters apart from the "
+        "part; if they belong to it, scan more densely there"
+    )
 
 
 def _left_out(sections: Iterable[Section]) -> str | None:
@@ -60,12 +75,12 @@ def _wide_gaps(sections: Iterable[Section]) -> str | None:
 
 
 def _crossing(sections: Iterable[Section]) -> str | None:
-    named = [s for s in sections if not is_one_turn(s.contour.turns)]
+    named = [s for s in sections if not is_one_turn(s.contour.rotations)]
     if not named:
         return None
     return (
-        f"{_numbered('section', named)}: the contour does not go round once, because the "
-        "macro-region walk took points of two contours for one; try a larger --resolution-mm, "
+        f"{_numbered('section', named)}: the contour crosses itself: the macro-region walk "
+        "went astray, as it does where two contours come near; try a larger --resolution-mm, "
         "or --crop"
     )
 
@@ -77,6 +92,15 @@ def _skipped(done: Reconstruction) -> str | None:
     return (
         f"{_numbered('slice', done.skipped)}: no section, so bridged or cut off "
         f"(slice {fullest.index}: {fullest.reason})"
+    )
+
+
+def _patchless(done: Reconstruction) -> str | None:
+    if done.patches:
+        return None
+    return (
+        "no two neighbouring sections have equal counts, so there is no NURBS patch and no STEP "
+        "file; the mesh is whole"
     )
 
 

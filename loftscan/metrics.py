@@ -61,13 +61,15 @@ def _sections(cutting: Cutting, done: Reconstruction) -> dict[str, object]:
         "cell_by_rule_mm": float(np.median([s.resolution.rule_mm for s in sections])),
         "gap_fraction": sum(section.gap_mm for section in sections) / length,
         "sections_open": sum(not section.contour.closed for section in sections),
-        "sections_not_simple": sum(not is_one_turn(section.contour.turns) for section in sections),
+        "sections_not_simple": sum(
+            not is_one_turn(section.contour.rotations) for section in sections
+        ),
     }
 
 
-def is_one_turn(turns: float) -> bool:
-    """Whether a contour goes round its middle once: what the walk promises on good data."""
-    return math.isclose(abs(turns), 1.0, abs_tol=1e-6)
+def is_one_turn(rotations: float) -> bool:
+    """Whether a contour's direction turns round once: a contour that does not crosses itself."""
+    return math.isclose(abs(rotations), 1.0, abs_tol=1e-6)
 
 
 def _residuals(done: Reconstruction) -> dict[str, object]:

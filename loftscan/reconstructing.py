@@ -25,11 +25,12 @@ from reconstruction.paper import PaperSettings
 from reconstruction.pipeline import Reconstruction, reconstruct_paper
 from reconstruction.reduction import Box
 from reconstruction.slices import Slice
-from reconstruction.slicing import Cutting, cut_cloud
-from reconstruction.survey import Axis
+from reconstruction.slicing import PASSES, Cutting, cut_cloud
+from reconstruction.survey import Axis, Pass
 
 _SAMPLE = 200_000
 _MOST_INTERMEDIATE = 1000
+_LEAST_MM = 1e-9  # no length below the size of an atom is meant
 
 
 class Method(Enum):
@@ -58,7 +59,10 @@ class Settings:
             if value is not None and not (0.0 < value < float("inf")):
                 option = name.replace("_", "-")
                 raise ValueError(f"--{option} {value:g}: a length above 0 mm is expected")
-        if not 0 <= self.intermediate <= _MOST_INTERMEDIATE:
+            if value is not None and value < _LEAST_MM:
+                name = name.replace("_", "-")
+                raise ValueError(f"--{name} {value:g}: at least {_LEAST_MM:g} mm is expected")
+        if self.intermediate not in range(_MOST_INTERMEDIATE + 1):
             raise ValueError(
                 f"--intermediate {self.intermediate}: 0 to {_MOST_INTERMEDIATE} rows are possible"
             )
@@ -99,9 +103,7 @@ def reconstruct_with(
     clock = _Clock()
     with open_input(source, settings.unit) as opened:
         with clock.stage("slicing"):
-            progress("slicing", 0, opened.cloud.point_count or 0)
-            cutting = _cut(opened, settings)
-            progress("slicing", opened.points, opened.points)
+            cutting = _cut(opened, settings, progress)
         collector = _Collector(int(cutting.counts.sum()))
         with clock.stage("sections"):
             done = _draw(
@@ -115,14 +117,31 @@ def reconstruct_with(
         return _conclude(title, opened, cutting, done, collector.points, deviation, settings, clock)
 
 
-def _cut(opened: Input, settings: Settings) -> Cutting:
+def _cut(opened: Input, settings: Settings, progress: Progress) -> Cutting:
     try:
         return cut_cloud(
-            opened.chunks, settings.axis, spacing_mm=settings.spacing_mm, crop=settings.crop
+            _counted(opened, progress),
+            settings.axis,
+            spacing_mm=settings.spacing_mm,
+            crop=settings.crop,
         )
     except TooFewPoints as few:
         inside = "" if settings.crop is None else " inside --crop"
         raise TooFewPoints(f"{opened.name}{inside}: {few}") from few
+
+
+def _counted(opened: Input, progress: Progress) -> Pass:
+    """The passes over an input, told as they go: every point is passed `PASSES` times."""
+    seen = 0
+
+    def passing() -> Iterator[FloatArray]:
+        nonlocal seen
+        for chunk in opened.chunks():
+            yield chunk
+            seen += len(chunk)
+            progress("slicing", seen, PASSES * (opened.points or opened.cloud.point_count or 0))
+
+    return passing
 
 
 def _draw(

@@ -214,7 +214,9 @@ def draw_deviation(result: Result, camera: Camera) -> bytes:
     """The signed deviation on the mesh, each vertex with the mean of the points nearest to it."""
     limit = max(result.deviation.statistics.absolute_95_mm, 1e-9)
     values = deviation_at_vertices(result)
-    colours = figures.deviation_colours(values, limit, synthetic=result.mesh.synthetic)
+    # By face, so that a cap does not take the colour of its rim.
+    by_face = values[result.mesh.faces].mean(axis=1)
+    colours = figures.deviation_colours(by_face, limit, synthetic=synthetic_faces(result))
     image = render_scene(
         Scene(meshes=(MeshLayer(result.mesh, colours),)), camera=camera, size_px=_SIZE_PX
     )
@@ -307,7 +309,7 @@ _MESH_NAMES = "vertices faces watertight oriented manifold euler components volu
 _GROUPS = {
     "Points": ("points_",),
     "Sections": tuple(_SECTION_NAMES.split()),
-    "Residuals": ("residual", "surface_deviation"),
+    "Residuals": ("residual", "surface_deviation", "tolerance", "share_within", "within"),
     "Mesh": tuple(_MESH_NAMES.split()),
     "Effort": ("seconds", "peak"),
 }

@@ -74,11 +74,18 @@ def reconstruct(
         spacing_mm=spacing_mm,
         resolution_mm=resolution_mm,
         tolerance_mm=tolerance_mm,
-        crop=None if crop_mm is None else Box(*np.asarray(crop_mm, dtype=np.float64)),
+        crop=None if crop_mm is None else _box(crop_mm),
         intermediate=intermediate,
         cleanup=CleanupSettings(remesh_edge_mm=remesh_edge_mm, decimate_to_faces=decimate_to_faces),
     )
     return reconstruct_with(source, settings, progress=progress)
+
+
+def _box(corners_mm: Sequence[Sequence[float]]) -> Box:
+    corners = np.asarray(corners_mm, dtype=np.float64)
+    if corners.shape != (2, 3) or not (corners[0] < corners[1]).all():
+        raise ValueError(f"crop_mm {corners.tolist()}: a low and a high corner, (2, 3), expected")
+    return Box(*corners)
 
 
 def compare(
@@ -95,6 +102,8 @@ def compare(
     ----------
     a, b
         What is measured, and the reference. Signed where the reference is a mesh, positive outside.
+        A cloud has no inside, so of a mesh `a` and a cloud `b` it is the cloud that is measured
+        (and moved): `Comparison.measured` says which.
     align
         ``"best-fit"`` moves `a` onto `b` first; the motion is in the result.
     tolerance_mm

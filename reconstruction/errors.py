@@ -2,7 +2,6 @@
 
     ReconstructionError            root: the work failed; the message says what and what to do
     ├── TooFewPoints               a section, a slice or a whole cloud has not enough points
-    ├── Unfittable                 a curve stays farther from its points than it may
     ├── NotLoftable                sections that cannot be joined to one surface
     ├── UnreadableCloud(OSError)   the input file is missing, damaged or of no known format
     ├── CleanupFailed              the mesh child died, ran out of time or memory, broke a promise
@@ -20,14 +19,6 @@ class ReconstructionError(Exception):
 
 class TooFewPoints(ReconstructionError):  # noqa: N818 (the house names errors after the fact)
     """Not enough points, for example a section of 3 points, or slices that are all empty."""
-
-
-class Unfittable(ReconstructionError):  # noqa: N818
-    """A curve cannot follow its points; `deviation_mm` is how far it stays away."""
-
-    def __init__(self, message: str, *, deviation_mm: float) -> None:
-        super().__init__(message)
-        self.deviation_mm = deviation_mm
 
 
 class NotLoftable(ReconstructionError):  # noqa: N818

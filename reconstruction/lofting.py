@@ -19,6 +19,8 @@ from reconstruction.nurbs import Surface, evaluate_surface, loft_sections
 from reconstruction.reknotting import reknot
 from reconstruction.sections import Section
 
+_MOST_MISSING = 50  # rows that stand for missing slices between two sections
+
 
 def split_runs(sections: Sequence[Section]) -> list[list[Section]]:
     """Group consecutive sections of equal control-point count."""
@@ -60,7 +62,8 @@ def lay_rows(
     runs, patches
         As from `split_runs` and `loft_run`, one patch (or None) a run.
     intermediate : int
-        Rows between two sections, from the patch inside a run and blended between runs. Between
+        Rows between two sections (more where slices between them gave no section: one for each,
+        marked synthetic), from the patch inside a run and blended between runs. Between
         runs there are as many more as connecting in pairs demands.
 
     Raises
@@ -77,7 +80,7 @@ def lay_rows(
             rows.extend(_blend(runs[number - 1][-1], run[0], intermediate))
         rows.append(_row(run[0]))
         for before, after in pairwise(run):
-            if intermediate and patch is not None:
+            if patch is not None:
                 rows.extend(_rows_on(patch, before, after, intermediate))
             rows.append(_row(after))
     return rows
@@ -87,24 +90,35 @@ def _row(section: Section) -> Row:
     return Row(section.knot_points_mm, section.synthetic)
 
 
+def _missing(before: Section, after: Section) -> int:
+    """Slices between two sections that gave none: each gets a row of its own, marked synthetic."""
+    return min(after.index - before.index - 1, _MOST_MISSING)
+
+
 def _rows_on(patch: Surface, before: Section, after: Section, intermediate: int) -> list[Row]:
-    heights = np.linspace(before.height_mm, after.height_mm, intermediate + 2)[1:-1]
+    missing = _missing(before, after)
+    wanted = max(intermediate, missing)
+    if wanted == 0:
+        return []
+    heights = np.linspace(before.height_mm, after.height_mm, wanted + 2)[1:-1]
     knots = np.arange(_count(before), dtype=np.float64)
     grid = evaluate_surface(patch, knots, heights)
-    either = before.synthetic | after.synthetic
+    either = before.synthetic | after.synthetic | (missing > 0)
     return [Row(grid[:, k], either) for k in range(len(heights))]
 
 
 def _blend(before: Section, after: Section, intermediate: int) -> list[Row]:
     """Rows between two runs, their counts in a row that pairs can connect."""
     counts = counts_between(_count(before), _count(after))
-    if len(counts) < intermediate:
-        counts = _spread_counts(_count(before), _count(after), intermediate)
+    missing = _missing(before, after)
+    if len(counts) < max(intermediate, missing):
+        counts = _spread_counts(_count(before), _count(after), max(intermediate, missing))
     rows = []
     for k, count in enumerate(counts, start=1):
         share = k / (len(counts) + 1)
         points = (1.0 - share) * _resample(before, count) + share * _resample(after, count)
-        rows.append(Row(points, _carry_marks(before, count) | _carry_marks(after, count)))
+        marks = _carry_marks(before, count) | _carry_marks(after, count) | (missing > 0)
+        rows.append(Row(points, marks))
     return rows
 
 

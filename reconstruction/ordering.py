@@ -33,6 +33,7 @@ from reconstruction.reduction import Cells
 # The start counts as reached again only after this many steps: before, it is simply still near.
 _LEAVING_STEPS = 4
 _STARTS = 4
+_MOST_PLACES = 1e8  # of the lattice that a slice spans
 
 
 class Walk(Enum):
@@ -68,6 +69,14 @@ class Contour:
         """Lengths of its segments, the closing one last; (m,)."""
         steps = np.roll(self.points_mm, -1, axis=0) - self.points_mm
         return np.asarray(np.hypot(steps[:, 0], steps[:, 1]))
+
+    @property
+    def rotations(self) -> float:
+        """Signed full turns of the closed polygon's direction: +-1 unless it crosses itself."""
+        steps = np.roll(self.points_mm, -1, axis=0) - self.points_mm
+        before = np.roll(steps, 1, axis=0)
+        cross = before[:, 0] * steps[:, 1] - before[:, 1] * steps[:, 0]
+        return float(np.arctan2(cross, np.einsum("ki,ki->k", before, steps)).sum() / (2.0 * np.pi))
 
     @property
     def turns(self) -> float:
@@ -112,7 +121,9 @@ def walk_contour(
         start = int(np.argmax(cells.counts))
         return _walk_from(cells, table, places, planar, start, reach=1)
     side_mm = float(np.ptp(planar, axis=0).max())
-    reach = max(1, round((reach_mm or 0.5 * side_mm) / min(cells.size_mm[:2])))
+    reach = max(
+        1, round((0.5 * side_mm if reach_mm is None else reach_mm) / min(cells.size_mm[:2]))
+    )
     best: Contour | None = None
     unvisited = cells.counts.copy()
     for _ in range(_STARTS):
@@ -135,6 +146,8 @@ def _tabulate(lattice: IntArray) -> tuple[IntArray, IntArray]:
     """Which cell stands at each place of the plane, -1 for none."""
     corner = lattice[:, :2].min(axis=0)
     shape = lattice[:, :2].max(axis=0) - corner + 1
+    if shape.prod(dtype=np.float64) > _MOST_PLACES:
+        raise ValueError("the cells are too small for the slice: choose a larger --resolution-mm")
     table = np.full(tuple(shape), -1, dtype=np.int64)
     table[tuple((lattice[:, :2] - corner).T)] = np.arange(len(lattice))
     return table, corner

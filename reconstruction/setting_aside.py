@@ -22,6 +22,7 @@ from reconstruction.survey import Axis, Pass, Survey
 _FINEST = 128  # boxes along the longest side
 _POINTS_A_BOX = 4.0  # a surface is connected when a typical point shares its box with this many
 _STRAY_SHARE = 0.01
+_MOST_STRAY = 0.05  # of all points: if more look stray, the grid is too fine, not the cloud bad
 _PLATE_OVERHANG = 1.15  # how much wider than the part the plate must be, in both directions
 _PLATE_FULL = 2.0  # and how many times more boxes than a typical layer it must fill
 _PLATE_AREA = 0.35  # and how much of its own rectangle: a ring of points is no plate
@@ -59,7 +60,14 @@ def find_part(points: Pass, survey: Survey, axis: Axis) -> Keep:
         layers = np.arange(counts.shape[axis.column]) + 0.5
         below = corner[axis.column] + layers * edge <= plate_top
         counts = counts * ~np.expand_dims(below, tuple({0, 1, 2} - {axis.column}))
-    return Keep(corner, edge, _large_clusters(counts), plate_top)
+    boxes = _large_clusters(counts)
+    for _ in range(3):
+        # Rows that stand apart where the rest was scanned densely are part of the part.
+        if not boxes.any() or counts[~boxes].sum() <= _MOST_STRAY * counts.sum():
+            break
+        counts, edge = _halve(counts), 2.0 * edge
+        boxes = _large_clusters(counts)
+    return Keep(corner, edge, boxes, plate_top)
 
 
 def _count_boxes(points: Pass, core: Box) -> tuple[IntArray, FloatArray, float]:
@@ -91,10 +99,16 @@ def _coarsen_until_connected(counts: IntArray, edge: float) -> tuple[IntArray, f
         typical = float((counts.astype(float) ** 2).sum() / max(1, total))
         if typical >= _POINTS_A_BOX:
             break
-        i, j, k = (side // 2 for side in counts.shape)
-        counts = counts.reshape(i, 2, j, 2, k, 2).sum(axis=(1, 3, 5))
+        counts = _halve(counts)
         edge *= 2.0
     return counts, edge
+
+
+def _halve(counts: IntArray) -> IntArray:
+    """The same counts in boxes of twice the edge; an odd side gets an empty box at its end."""
+    even = np.pad(counts, [(0, side % 2) for side in counts.shape])
+    i, j, k = (side // 2 for side in even.shape)
+    return np.asarray(even.reshape(i, 2, j, 2, k, 2).sum(axis=(1, 3, 5)))
 
 
 def _large_clusters(counts: IntArray) -> BoolArray:

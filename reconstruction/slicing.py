@@ -1,8 +1,8 @@
 """A cloud becomes a stream of slices, whatever its size.
 
-Three passes: `survey_cloud`, `find_part`, and the cut, which sorts every point into its slice's
-place in a pile. A small pile lies in memory; a large one lies in a temporary file, of which one
-slice at a time is read back, so that memory does not grow with the cloud.
+Four passes: `survey_cloud`, `find_part`, a count of every slice, and the cut, which sorts every
+point into its slice's place in a pile. A small pile lies in memory; a large one lies in a temporary
+file, of which one slice at a time is read back, so that memory does not grow with the cloud.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from reconstruction.survey import Axis, Pass, Spacing, Survey, choose_spacing, s
 _IN_MEMORY = 4_000_000  # points, 96 MB
 _DRAWN = 30_000  # points of each reason kept for the picture
 _MOST_SLICES = 100_000
+PASSES = 4  # over the points of a cloud: survey, clusters, counting, sorting
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,13 +118,14 @@ def _number_levels(
     """
     low = keep.corner_mm[axis.column]
     high = low + keep.edge_mm * keep.boxes.shape[axis.column]
+    slices = (high - low) / spacing.step_mm
+    if slices > _MOST_SLICES:
+        raise TooFewPoints(
+            f"a spacing of {spacing.step_mm:g} mm makes {slices:.6g} slices, at most "
+            f"{_MOST_SLICES} are possible: choose a larger --spacing-mm"
+        )
     first = math.floor((low - spacing.middle_mm) / spacing.step_mm)
     levels = math.ceil((high - spacing.middle_mm) / spacing.step_mm) - first + 2
-    if levels > _MOST_SLICES:
-        raise TooFewPoints(
-            f"a spacing of {spacing.step_mm:g} mm makes {levels} slices, at most {_MOST_SLICES} "
-            "are possible: choose a larger --spacing-mm"
-        )
     start = Spacing(spacing.step_mm, spacing.middle_mm + first * spacing.step_mm, spacing.rule)
     counts = np.zeros(levels, dtype=np.int64)
     for chunk in points():
@@ -283,7 +285,7 @@ class _Pile:
         self._file.seek(24 * start)
         points = np.empty((stop - start, 3))
         if len(points):
-            self._file.readinto(points.data.cast("B"))  # type: ignore[attr-defined]
+            _read_all(self._file, points.data.cast("B"))
         return points
 
 
@@ -291,3 +293,12 @@ def _write_all(file: BinaryIO, data: memoryview) -> None:
     # An unbuffered write may take less than it was given.
     while data:
         data = data[file.write(data) :]
+
+
+def _read_all(file: BinaryIO, room: memoryview) -> None:
+    # One read takes 2 GiB at most.
+    while room:
+        taken = file.readinto(room)  # type: ignore[attr-defined]
+        if not taken:
+            raise OSError("the temporary file of the sorted points ended early; run again")
+        room = room[taken:]

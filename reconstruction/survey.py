@@ -136,6 +136,8 @@ class _Thinning:
 
 def _core(sample_mm: FloatArray, box: Box) -> Box:
     low, high = np.percentile(sample_mm, [0.5, 99.5], axis=0)
+    if not (high > low).any():
+        return box  # nearly all points in one place: the few others are not strays of it
     margin = 0.5 * np.maximum(high - low, 1e-3 * (high - low).max())
     return Box(np.maximum(low - margin, box.low_mm), np.minimum(high + margin, box.high_mm))
 
@@ -160,6 +162,10 @@ def choose_spacing(survey: Survey, axis: Axis, *, given_mm: float | None = None)
     """
     heights = survey.sample_mm[:, axis.column]
     extent = float(np.ptp(np.percentile(heights, [0.5, 99.5])))
+    if not extent > 0.0:
+        raise TooFewPoints(
+            f"nearly all points lie at one height along --axis {axis.value}: try another --axis"
+        )
     if given_mm is not None:
         return _in_step(given_mm, heights, SpacingRule.GIVEN)
     if survey.row_step_mm is not None and survey.row_step_mm * _LEAST_SLICES <= extent:

@@ -62,7 +62,7 @@ def test_a_contour_that_turns_twice_is_named_with_the_remedy(part_result: Result
     assert twice.turns == pytest.approx(2.0)
     done = with_sections(part_result.reconstruction, (2, {"contour": twice}))
     (sentence,) = judge(part_result.cutting, done)
-    assert sentence.startswith("section 2: the contour does not go round once")
+    assert sentence.startswith("section 2: the contour crosses itself")
     assert "try a larger --resolution-mm, or --crop" in sentence
 
 

@@ -148,3 +148,39 @@ def test_a_folder_without_a_mesh_names_what_is_missing(place: Path) -> None:
     (place / "o").mkdir()
     with pytest.raises(UnreadableCloud, match=r"no mesh.ply in it; is it a result folder"):
         compare("o", np.eye(3))
+
+
+def test_a_cloud_at_one_height_asks_for_another_axis() -> None:
+    flat = np.random.default_rng(0).uniform(0.0, 50.0, (2000, 3)) * [1.0, 1.0, 0.0]
+    with pytest.raises(TooFewPoints, match="one height along --axis z: try another --axis"):
+        reconstruct(flat)
+
+
+def test_slices_that_are_missing_between_two_sections_are_marked_synthetic() -> None:
+    rng = np.random.default_rng(0)
+    heights = np.concatenate([np.arange(20.0), np.arange(60.0, 80.0)]).repeat(400)
+    angle = np.tile(np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False), 40)
+    radius = 20.0 + rng.normal(0.0, 0.05, len(heights))
+    cloud = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), heights])
+    result = reconstruct(cloud, spacing_mm=1.0)
+    between = np.abs(result.mesh.vertices_mm[:, 2] - 39.5) < 20.25
+    assert between.sum() > 30 * 30
+    assert result.mesh.synthetic[between].all()
+    assert not result.mesh.synthetic[~between].any()
+    assert result.metrics["watertight"]
+
+
+def test_a_cone_without_two_equal_sections_is_saved_without_step(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    rings = []
+    for height, size in ((0.0, 60.0), (10.0, 30.0), (20.0, 14.0), (30.0, 6.0)):
+        angle = rng.uniform(0.0, 2.0 * np.pi, 3000)
+        radius = size + rng.normal(0.0, 0.05, 3000)
+        ring = [radius * np.cos(angle), radius * np.sin(angle), np.full(3000, height)]
+        rings.append(np.column_stack(ring))
+    result = reconstruct(np.concatenate(rings), spacing_mm=10.0)
+    assert result.surface == ()
+    assert any("no NURBS patch" in warning for warning in result.warnings)
+    result.save(tmp_path / "out", formats=["step", "3dm", "stl"])
+    assert (tmp_path / "out" / "surface.3dm").exists()
+    assert not (tmp_path / "out" / "surface.step").exists()

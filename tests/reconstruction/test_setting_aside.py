@@ -124,3 +124,20 @@ def test_a_thin_cloud_is_looked_at_in_coarser_boxes() -> None:
     dense, thin = cylinder(), cylinder()[::20]
     assert find(thin).edge_mm > find(dense).edge_mm
     assert kept(thin, find(thin)).all()
+
+
+def test_rows_that_stand_apart_from_a_densely_scanned_foot_are_the_part() -> None:
+    rng = np.random.default_rng(4)
+    dense = [(h, 900) for h in np.arange(0.0, 20.0, 0.2)]
+    heights = dense + [(h, 800) for h in np.arange(20.0, 100.0, 2.0)]
+    rings = []
+    for height, count in heights:
+        angle = rng.uniform(0.0, 2.0 * np.pi, count)
+        radius = 20.0 + rng.normal(0.0, 0.05, count)
+        rings.append(
+            np.column_stack(
+                [radius * np.cos(angle), radius * np.sin(angle), np.full(count, height)]
+            )
+        )
+    points = np.concatenate(rings)
+    assert kept(points, find(points)).all()
