@@ -5,7 +5,10 @@
     ├── ScanInUse(OSError)        another program is appending to the folder; says which
     ├── StorageFailed(OSError)    the disk is full, read-only or broken; what was kept stays kept
     ├── DamagedSlice(OSError)     a slice file is not what was written; it is never deleted
-    └── AlreadyKept               the slice is in the folder: nothing is taken twice
+    ├── AlreadyKept               the slice is in the folder: nothing is taken twice
+    ├── Stopped                   the operator stopped amid a slice
+    ├── ZeroLost                  only a person can find the table's angle again
+    └── LeaseLapsed               the laser was on and nobody renewed: it is off again
 
 Files that a person wrote (station.toml, plan.toml) and wrong arguments are ``ValueError``.
 """
@@ -35,3 +38,15 @@ class DamagedSlice(AcquisitionError, OSError):  # noqa: N818
 
 class AlreadyKept(AcquisitionError):  # noqa: N818
     """A slice of this index is in the folder and stays as it is."""
+
+
+class Stopped(AcquisitionError):  # noqa: N818
+    """The operator stopped amid a slice; it is not kept, those before it are."""
+
+
+class ZeroLost(AcquisitionError):  # noqa: N818
+    """The angles of the slices that are kept cannot be found again without a person."""
+
+
+class LeaseLapsed(AcquisitionError):  # noqa: N818
+    """Nobody renewed in time while the laser was on; it is off again."""

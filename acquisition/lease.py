@@ -14,17 +14,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from acquisition.errors import AcquisitionError
+from acquisition.errors import LeaseLapsed
 from drivers.axis import Pause
 from drivers.errors import DriverError
 from drivers.laser import LaserSwitch
 
 TTL_S = 0.12
 LONGEST_WAIT_S = 0.05  # of anything in the loop, so that one late look is forgiven
-
-
-class LeaseLapsed(AcquisitionError):  # noqa: N818 (the house names errors after the fact)
-    """Nobody renewed in time while the laser was on; it is off again."""
 
 
 class Lease:

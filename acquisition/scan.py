@@ -25,8 +25,8 @@ from enum import Enum
 
 import numpy as np
 
-from acquisition.errors import AcquisitionError
-from acquisition.lease import LONGEST_WAIT_S, TTL_S, Lease, LeaseLapsed, lasing, pausing
+from acquisition.errors import LeaseLapsed, Stopped, ZeroLost
+from acquisition.lease import LONGEST_WAIT_S, TTL_S, Lease, lasing, pausing
 from acquisition.opening import OpenStation, at_rest_unless_done
 from acquisition.plan import Plan, Target, check_plan, targets
 from acquisition.poses import Pose, Sweep
@@ -42,14 +42,6 @@ _PATIENCE_S = 0.25  # for a profile, beside three periods of the sensor
 _TAKE_UP_MM = 0.5  # more than any screw's backlash
 _BRAKING_S = 5.0
 _UNDER_WAY = (Motion.MOVING, Motion.HOMING)
-
-
-class Stopped(AcquisitionError):  # noqa: N818 (the house names errors after the fact)
-    """The operator stopped amid a slice; it is not kept, those before it are."""
-
-
-class ZeroLost(AcquisitionError):  # noqa: N818
-    """The angles of the slices that are kept cannot be found again without a person."""
 
 
 class Wish(Enum):

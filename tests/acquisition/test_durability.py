@@ -25,7 +25,8 @@ from tests.acquisition.scan_cases import REPOSITORY, record, sweep
 _LIMITED = """
 import resource, sys
 from pathlib import Path
-from acquisition import ScanFolder, StorageFailed
+from acquisition.errors import StorageFailed
+from acquisition.scanfile import ScanFolder
 from tests.acquisition.scan_cases import record, sweep
 with ScanFolder.create(Path(sys.argv[1]), record(5)) as writer:
     writer.append(sweep(0))

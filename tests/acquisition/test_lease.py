@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from acquisition.lease import TTL_S, Lease, LeaseLapsed, at_last, lasing, pausing
+from acquisition.errors import LeaseLapsed
+from acquisition.lease import TTL_S, Lease, at_last, lasing, pausing
 from drivers.axis import Identity
 from drivers.errors import NoReply, Refused
 from drivers.laser import Guarantee

@@ -11,17 +11,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from acquisition.lease import LeaseLapsed
+from acquisition.errors import LeaseLapsed, Stopped, ZeroLost
 from acquisition.opening import OpenStation
 from acquisition.plan import Plan, StepAndShoot, ring
 from acquisition.poses import Sweep
 from acquisition.scan import (
     PartStands,
     Progress,
-    Stopped,
     StopRequest,
     Wish,
-    ZeroLost,
     lost_profile,
     scan,
 )

@@ -1,0 +1,88 @@
+"""A command's work, and what becomes of its errors: one line and an exit code.
+
+0 done; 1 the work failed; 2 bad usage or bad input; 3 stopped by the operator; 4 a device refused
+or was lost. A traceback needs ``--debug``.
+"""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Callable
+from typing import NoReturn
+
+import typer
+
+
+def run(work: Callable[[], None], *, debug: bool) -> None:
+    """Run a command's work and turn what is known to go wrong into a line and an exit code."""
+    try:
+        work()
+    # Evaluated only when something went wrong: no command waits for what it does not use.
+    except _known_errors() as error:
+        if debug:
+            raise
+        fail(_exit_code(error), _say(error))
+
+
+def fail(code: int, message: str) -> NoReturn:
+    """End the program with one line and an exit code."""
+    typer.echo(f"loftscan: {' '.join(message.split())}", err=True)
+    raise typer.Exit(code)
+
+
+def _known_errors() -> tuple[type[BaseException], ...]:
+    from acquisition.errors import AcquisitionError
+    from drivers.errors import DriverError
+    from reconstruction.errors import ReconstructionError
+
+    ours = (AcquisitionError, DriverError, ReconstructionError)
+    return (*ours, KeyboardInterrupt, MemoryError, OSError, ValueError)
+
+
+def _exit_code(error: BaseException) -> int:
+    from acquisition.errors import DamagedSlice, LeaseLapsed, NotAScan, Stopped, ZeroLost
+    from drivers.errors import DriverError
+    from reconstruction.errors import ReconstructionError, TooFewPoints, UnreadableCloud
+
+    # In this order: some are an OSError or a ValueError as well.
+    codes: tuple[tuple[int, tuple[type[BaseException], ...]], ...] = (
+        (3, (KeyboardInterrupt, Stopped)),
+        (4, (DriverError, LeaseLapsed, ZeroLost)),
+        (2, (UnreadableCloud, TooFewPoints, NotAScan, DamagedSlice)),
+        (1, (ReconstructionError, OSError, MemoryError)),
+        (2, (ValueError,)),
+    )
+    return next((code for code, kinds in codes if isinstance(error, kinds)), 1)
+
+
+def _say(error: BaseException) -> str:
+    notes = "; ".join(getattr(error, "__notes__", ()))
+    return f"{_message(error)}; {notes}" if notes else _message(error)
+
+
+def _message(error: BaseException) -> str:
+    if isinstance(error, KeyboardInterrupt):
+        return "stopped by the operator; nothing was written"
+    if isinstance(error, MemoryError):
+        remedy = "use a larger --resolution-mm or --spacing-mm, less --intermediate, or --crop"
+        return f"out of memory ({error}); {remedy}"
+    if isinstance(error, OSError) and error.errno is not None:
+        return _explain(error)
+    return str(error)
+
+
+_UNWRITABLE = {
+    *(errno.EACCES, errno.EPERM, errno.EROFS),
+    *(errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG, errno.ELOOP),
+}
+
+
+def _explain(error: OSError) -> str:
+    where = f"{error.filename}: " if error.filename else ""
+    if error.errno in {errno.ENOSPC, errno.EDQUOT}:
+        return (
+            f"{where}the disk is full; free some space and run again, nothing half-written is left"
+        )
+    if error.errno in _UNWRITABLE:
+        return f"{where}{error.strerror}; name a folder that may be written as --out"
+    return f"{where}{error.strerror or error}"
