@@ -11,6 +11,7 @@ FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
 FaceArray = NDArray[np.int32]
 ReasonArray = NDArray[np.uint8]
+SegmentArray = NDArray[np.int32]
 
 
 def frozen(values: ArrayLike, dtype: DTypeLike) -> NDArray[Any]:

@@ -1,22 +1,23 @@
-"""Where a horizontal sheet of light can meet a part: the band of faces that cross its height.
+r"""Where a horizontal sheet of light can meet a part: one segment a face that crosses its height.
 
-Embree answers in float32 which face a beam meets first; where it meets it is worked out again in
-float64 from that face's plane. In the sheet z = 0, and a face's plane is a line::
+A segment ends on two edges of its face. Faces that share an edge compute its end from the same
+two vertices in the same order, so that their segments meet to the last bit, and no beam passes
+between them::
 
-    a x + b y = c        (a, b) the horizontal part of the face's unit normal
-
-so a beam E + t D has t = (c - a Ex - b Ey) / (a Dx + b Dy), and the denominator over |D| is the
-cosine of incidence.
+            up
+            /\           one vertex of three is alone on its side of the sheet:
+    -------*--*-------   both ends lie on the edges that meet there
+          /    \
+       down----down
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
-from numpy.typing import NDArray
+from numba import njit
 
 from sim.arrays import FaceArray, FloatArray, SingleArray
 from sim.solids import Part
@@ -25,50 +26,93 @@ from sim.solids import Part
 # the very top sees the wall, one at z = 0 sees nothing.
 _UNDER_MM = 1e-6
 
+Corner = tuple[float, float, float]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sheet:
-    """The faces that cross one height; the last of each array is no face, for beams that miss."""
+class Section:
+    """A part's segments at one height, in the part's frame; in any order, of any topology."""
 
-    scene: EmbreeScene | None  # its z is relative to the sheet; None where nothing crosses
-    a: FloatArray  # (f + 1,)
-    b: FloatArray
-    c_mm: FloatArray
-    reflectance: SingleArray
+    ends_mm: FloatArray  # (s, 2, 2)
+    normals: FloatArray  # (s, 2), horizontal part of the face's unit normal
+    reflectance: SingleArray  # (s,)
 
-    def first_faces(self, origins_mm: SingleArray, directions: SingleArray) -> NDArray[np.intp]:
-        """Which face each beam meets first, -1 for none: (n, 3), (n, 3) -> (n,)."""
-        if self.scene is None:
-            return np.full(len(origins_mm), -1, np.intp)
-        faces = self.scene.run(origins_mm, directions)
-        return np.asarray(faces, np.intp)  # as numpy indexes: converted once, not at each use
+    def __post_init__(self) -> None:
+        for array in (self.ends_mm, self.normals, self.reflectance):
+            array.flags.writeable = False
 
 
-def cut(part: Part, height_mm: float) -> Sheet:
-    """Find the band of a part's faces at a height over z = 0."""
-    above_mm = part.vertices_mm[:, 2] - height_mm
-    above_mm = np.where(np.abs(above_mm) < _UNDER_MM, _UNDER_MM, above_mm)
-    up = (above_mm > 0.0)[part.faces].sum(axis=1)
-    crossing = np.flatnonzero((up > 0) & (up < 3))
-    vertices_mm = np.column_stack([part.vertices_mm[:, :2], above_mm])
-    corners_mm = vertices_mm[part.faces[crossing]]
-    normals = np.cross(corners_mm[:, 1] - corners_mm[:, 0], corners_mm[:, 2] - corners_mm[:, 0])
-    lengths = np.linalg.norm(normals, axis=1)
-    normals /= np.where(lengths > 0.0, lengths, 1.0)[:, None]
-    c_mm = np.einsum("ij,ij->i", normals, corners_mm[:, 0])
-    return Sheet(
-        scene=make_scene(vertices_mm, part.faces[crossing]) if len(crossing) else None,
-        a=np.append(normals[:, 0], 0.0),
-        b=np.append(normals[:, 1], 0.0),
-        c_mm=np.append(c_mm, 0.0),
-        reflectance=np.append(part.reflectance[crossing], np.float32(0.0)),
-    )
+class Slicer:
+    """Cuts one part at any height."""
+
+    def __init__(self, part: Part) -> None:
+        self._part = part
+        z_mm = part.vertices_mm[:, 2][part.faces]
+        self._spans_mm = np.column_stack([z_mm.min(axis=1), z_mm.max(axis=1)])
+
+    def at(self, height_mm: float) -> Section:
+        """Cut at a height over z = 0."""
+        part = self._part
+        ends_mm, normals = np.empty((len(part.faces), 2, 2)), np.empty((len(part.faces), 2))
+        faces = np.empty(len(part.faces), np.int32)
+        count = _cut(
+            part.vertices_mm, part.faces, self._spans_mm, height_mm, ends_mm, normals, faces
+        )
+        reflectance = part.reflectance[faces[:count]]
+        return Section(ends_mm[:count].copy(), normals[:count].copy(), reflectance)
 
 
-def make_scene(vertices_mm: FloatArray, faces: FaceArray) -> EmbreeScene:
-    """Hand a mesh to embree."""
-    scene = EmbreeScene()
-    TriangleMesh(
-        scene=scene, vertices=vertices_mm.astype(np.float32), indices=faces.astype(np.int32)
-    )
-    return scene
+@njit(cache=True, nogil=True)
+def _cut(
+    vertices_mm: FloatArray,
+    faces: FaceArray,
+    spans_mm: FloatArray,
+    height_mm: float,
+    ends_mm: FloatArray,
+    normals: FloatArray,
+    found: FaceArray,
+) -> int:
+    """Write ends, normals and numbers of the faces that cross; return how many they are."""
+    count = 0
+    for face in range(faces.shape[0]):
+        if not spans_mm[face, 0] - height_mm <= -_UNDER_MM < spans_mm[face, 1] - height_mm:
+            continue
+        a = _corner(vertices_mm, faces[face, 0], height_mm)
+        b = _corner(vertices_mm, faces[face, 1], height_mm)
+        c = _corner(vertices_mm, faces[face, 2], height_mm)
+        normals[count] = _normal(a, b, c)
+        if (a[2] > 0.0) == (b[2] > 0.0):  # a comes first: the corner that is alone on its side
+            a, b, c = c, a, b
+        elif (a[2] > 0.0) == (c[2] > 0.0):
+            a, b, c = b, c, a
+        ends_mm[count, 0] = _end(a, b)
+        ends_mm[count, 1] = _end(a, c)
+        found[count] = face
+        count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _corner(vertices_mm: FloatArray, vertex: int, height_mm: float) -> Corner:
+    above_mm = vertices_mm[vertex, 2] - height_mm
+    if abs(above_mm) < _UNDER_MM:
+        above_mm = _UNDER_MM
+    return vertices_mm[vertex, 0], vertices_mm[vertex, 1], above_mm
+
+
+@njit(cache=True, nogil=True)
+def _normal(a: Corner, b: Corner, c: Corner) -> tuple[float, float]:
+    """Return the horizontal part of the unit normal; none if the face has no area."""
+    x1, y1, z1 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    x2, y2, z2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    x, y, z = y1 * z2 - z1 * y2, z1 * x2 - x1 * z2, x1 * y2 - y1 * x2
+    length = math.sqrt(x * x + y * y + z * z)
+    return (x / length, y / length) if length > 0.0 else (0.0, 0.0)
+
+
+@njit(cache=True, nogil=True)
+def _end(one: Corner, other: Corner) -> tuple[float, float]:
+    """Where an edge passes z = 0, from its lower corner up: whichever face asks."""
+    low, high = (one, other) if one[2] < other[2] else (other, one)
+    share = low[2] / (low[2] - high[2])
+    return low[0] + share * (high[0] - low[0]), low[1] + share * (high[1] - low[1])

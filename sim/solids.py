@@ -18,7 +18,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import trimesh
 
 from sim.arrays import FaceArray, FloatArray, SingleArray, frozen
 
@@ -113,6 +112,8 @@ def read_mesh(path: Path, *, mm_per_unit: float = 1.0) -> Part:
     OSError
         The file cannot be read.
     """
+    import trimesh  # takes longer to import than all else here; the built-in parts need none of it
+
     with path.open("rb") as stream:
         try:
             mesh = trimesh.load(stream, file_type=path.suffix.lstrip(".").lower(), force="mesh")

@@ -39,23 +39,18 @@ class Speckle:
             "uinteger": 0,
         }
 
-    def draw(
-        self, keys: Sequence[SeedKey], points: int
-    ) -> tuple[SingleArray | None, SingleArray | None]:
-        """Standard normals and uniforms on [0, 1), each (keys, points); None where not needed."""
-        extra = self._flaws.speckle_points - 1
-        normals = uniforms = None
-        if self._flaws.cloud_width_mm > 0.0:
-            normals = np.empty((len(keys), points + extra), np.float32)
-        if self._flaws.outlier_rate > 0.0:
-            uniforms = np.empty((len(keys), points), np.float32)
-        for row, key in enumerate(keys):
+    def draw(self, keys: Sequence[SeedKey], points: int) -> tuple[SingleArray, SingleArray]:
+        """Standard normals and uniforms on [0, 1), each (keys, points); (keys, 0) if not needed."""
+        flaws = self._flaws
+        blurred, strayed = flaws.cloud_width_mm > 0.0, flaws.outlier_rate > 0.0
+        drawn = points + flaws.speckle_points - 1 if blurred else 0
+        normals = np.empty((len(keys), drawn), np.float32)
+        uniforms = np.empty((len(keys), points if strayed else 0), np.float32)
+        for row, key in enumerate(keys if blurred or strayed else ()):
             self._turn_to(key)
-            if normals is not None:
-                self._generator.standard_normal(out=normals[row], dtype=np.float32)
-            if uniforms is not None:
-                self._generator.random(out=uniforms[row], dtype=np.float32)
-        return (_shared(normals, extra + 1) if normals is not None else None), uniforms
+            self._generator.standard_normal(out=normals[row], dtype=np.float32)
+            self._generator.random(out=uniforms[row], dtype=np.float32)
+        return _shared(normals, flaws.speckle_points) if blurred else normals, uniforms
 
     def _turn_to(self, key: SeedKey) -> None:
         self._counter[2], self._counter[3] = key.slice_index, key.profile_index

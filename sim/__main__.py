@@ -1,0 +1,140 @@
+"""``python -m sim``: a simulated station on wires of this machine, until Ctrl-C.
+
+A parent that starts it waits for the line ``station: PATH``, or for a JSON object with ``--json``;
+with ``--while-stdin-open`` it ends when the parent does, however that ends.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NoReturn
+
+from sim.faults import FAULTS, parse_faults
+from sim.parts import PARTS, find_part
+from sim.serving import Ending, Server
+from sim.stations import Layout, build, connect, plan_toml, station_toml, truth_ply
+from sim.witness import WitnessLog
+
+_DONE, _FAILED, _BAD_USAGE = 0, 1, 2
+
+
+@dataclass(frozen=True, slots=True)
+class _Files:
+    """What is written before the first byte is served."""
+
+    station: Path
+    plan: Path
+    truth: Path
+    witness: Path
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit code."""
+    wanted = _parser().parse_args(words)
+    if wanted.list:
+        sys.stdout.write(_listing())
+        return _DONE
+    ending = Ending()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, ending.ask)
+    try:
+        with TemporaryDirectory(prefix="loftscan-sim-") as folder:
+            _serve(wanted, Path(folder), ending)
+    except ValueError as wrong:
+        sys.stderr.write(f"sim: {wrong}\n")
+        return _BAD_USAGE
+    except OSError as failure:
+        sys.stderr.write(f"sim: {failure}\n")
+        return _FAILED
+    return _DONE
+
+
+def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
+    """Build the station, put it on wires named in a folder, write the files, and serve."""
+    faults, part = parse_faults(wanted.faults), find_part(wanted.part)
+    layout = Layout(
+        seed=wanted.seed,
+        time_scale=wanted.scale,
+        cloud_width_mm=wanted.cloud_width_mm,
+        outlier_rate=wanted.outliers,
+    )
+    files = _files(wanted, folder)
+    with WitnessLog(files.witness) as witness:
+        devices = build(layout, part, witness, time.monotonic(), faults=faults)
+        with Server(lively=devices.lively) as server:
+            addresses = connect(devices, layout, faults, server, folder)
+            files.truth.write_bytes(truth_ply(part))
+            files.plan.write_text(plan_toml(layout, part), encoding="utf-8")
+            files.station.write_text(station_toml(layout, addresses, part.name), encoding="utf-8")
+            if wanted.while_stdin_open:
+                _end_with_stdin(server, ending)
+            _tell(files, as_json=wanted.json)
+            server.run(ending)
+
+
+def _files(wanted: argparse.Namespace, folder: Path) -> _Files:
+    """Where everything goes; what an earlier run witnessed there is forgotten."""
+    out = (wanted.out or folder).resolve()
+    out.mkdir(parents=True, exist_ok=True)
+    witness = (wanted.witness or out / "witness.jsonl").resolve()
+    witness.write_bytes(b"")
+    station = (wanted.station or out / "station.toml").resolve()
+    return _Files(station, out / "plan.toml", out / "truth.ply", witness)
+
+
+def _end_with_stdin(server: Server, ending: Ending) -> None:
+    try:
+        server.end_with(0, ending)
+    except PermissionError as file:
+        raise ValueError(
+            "--while-stdin-open: stdin is a file, which stays open; give a pipe"
+        ) from file
+
+
+def _tell(files: _Files, *, as_json: bool) -> None:
+    told = {name: str(getattr(files, name)) for name in ("station", "plan", "truth", "witness")}
+    line = json.dumps({**told, "pid": os.getpid()}) if as_json else f"station: {files.station}"
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()
+
+
+def _listing() -> str:
+    faults = (f"  {name:20} {meaning}\n" for name, meaning in FAULTS.items())
+    return f"parts: {', '.join(PARTS)}, or a mesh file\nfaults:\n{''.join(faults)}"
+
+
+class _OneLineParser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        self.exit(_BAD_USAGE, f"{self.prog}: {message}; see --help\n")
+
+
+def _parser() -> argparse.ArgumentParser:
+    normal = Layout()
+    parser = _OneLineParser("sim", description="A simulated scanning station on real wires.")
+    option = parser.add_argument
+    option("--part", default="vase", metavar="NAME or MESH", help="what stands on the table")
+    option("--seed", type=int, default=normal.seed, help="of all that is random")
+    option("--scale", type=float, default=normal.time_scale, help="how much faster its time runs")
+    option("--cloud-width-mm", type=float, default=normal.cloud_width_mm, help="of the noise")
+    option("--outliers", type=float, default=normal.outlier_rate, help="share of the points")
+    option("--faults", default="", metavar="NAME,NAME=N", help="what is wrong; --list names all")
+    option("--out", type=Path, metavar="DIR", help="keeps the files; absent: gone at the end")
+    option("--station", type=Path, metavar="FILE", help="for station.toml alone")
+    option("--witness", type=Path, metavar="FILE", help="for the log of what truly happened alone")
+    option("--json", action="store_true", help="names every file in one line of JSON")
+    option("--while-stdin-open", action="store_true", help="ends when stdin is closed")
+    option("--list", action="store_true", help="names the parts and the faults")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())
