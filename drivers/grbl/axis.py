@@ -44,6 +44,7 @@ from drivers.grbl.wire import FENCE, Realtime, feed_move, jog
 from drivers.links import ByteLink
 
 _STOP_POLL_S: Final = 0.05
+_PLANNER_S: Final = 0.1  # idle for so long somewhere else, a move is over and not yet to begin
 _UNHOMED_JOG: Final = 1.0  # degree or mm, from where the axis stands
 
 
@@ -217,15 +218,18 @@ class GrblAxis:
         deadline_s = self._talk.clock() + within_s
         upsets = self._talk.dialogue.upsets
         far = distance > self._tolerance()
-        before: float | None = None
+        idle: tuple[float, float] | None = None  # where, and since when
         while self._talk.clock() < deadline_s:
             status = self._talk.status(pause)
             self._check_moving(status, upsets)
-            here = self._position(status)
+            here, now_s = self._position(status), self._talk.clock()
             if status.state is State.IDLE:
-                if here == before or (far and abs(here - target) <= self._tolerance()):
+                if far and abs(here - target) <= self._tolerance():
                     return status
-                before = here
+                if idle is None or idle[0] != here:
+                    idle = (here, now_s)
+                elif now_s - idle[1] >= _PLANNER_S:
+                    return status
             self._talk.until(
                 lambda: self._talk.dialogue.upsets != upsets, self._settings.poll_s, pause
             )

@@ -38,7 +38,7 @@ class Settings:
     homing: Homing = Homing.SWITCH
     home_position: float = 0.0  # what the position is called where homing ends
     backlash: float = 0.0  # taken up from below before every stop; 0 approaches directly
-    poll_s: float = 0.1
+    poll_s: float = 0.05
 
     def __post_init__(self) -> None:
         if self.letter not in LETTERS or len(self.letter) != 1:

@@ -178,8 +178,12 @@ class LeadshineStage:
 
     def identify(self) -> Identity:
         """Model from the settings, the rest from the drive; version registers it may lack."""
-        mode = self._read(Register.LOOP_MODE)
-        loops = {int(LoopMode.OPEN): "open loop", int(LoopMode.CLOSED): "closed loop"}
+        mode = self._read_if_there(Register.LOOP_MODE)
+        loops = {
+            None: "loop not told",
+            int(LoopMode.OPEN): "open loop",
+            int(LoopMode.CLOSED): "closed loop",
+        }
         loop = loops.get(mode, f"loop mode {mode}")
         pulses = self._read(Register.PULSES_PER_REV)
         versions = (

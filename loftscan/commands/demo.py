@@ -2,37 +2,107 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from loftscan.commands.options import Debug, JsonLines, Overwrite
 from loftscan.commands.outcome import save, tell, writable_formats
-from loftscan.commands.running import run
+from loftscan.commands.running import fail, run
+
+if TYPE_CHECKING:
+    from loftscan.cad_files import CadWriter
+    from loftscan.demo import Scanning
+    from loftscan.result import Result
 
 
 def demo(
-    out: Annotated[Path, typer.Option(help="Folder for the result.")] = Path("demo-out"),
+    part: Annotated[
+        str,
+        typer.Option(help="cylinder, cone, vase, badly-acquired, blade, or a mesh file in mm."),
+    ] = "vase",
+    out: Annotated[
+        Path, typer.Option(help="Folder for the result; the scan goes beside it, to OUT.scan.")
+    ] = Path("demo-out"),
     seed: Annotated[int, typer.Option(help="Of the noise.", min=0)] = 20,
+    scale: Annotated[
+        float, typer.Option(help="How much faster than real time the station moves.", min=0.01)
+    ] = 1.0,
     overwrite: Overwrite = False,
     json_lines: JsonLines = False,
     debug: Debug = False,
 ) -> None:
-    """Reconstruct a noisy, gappy vase that the program makes itself, and say where to look."""
+    """Scan a part on a simulated station, reconstruct it while it is scanned, judge the result."""
 
     def work() -> None:
         from loftscan.cad_files import CadWriter
-        from loftscan.demo import make_cloud
-        from loftscan.progress import bars
-        from loftscan.reconstructing import Settings, reconstruct_with
+        from loftscan.demo import ScanFailed, check_scan_folder, judge, scanning, slice_period_s
         from loftscan.result import check_output
+        from loftscan.simulation import simulate
 
         wanted = writable_formats(None)
+        kept = out.with_name(f"{out.name}.scan")
         check_output(out, overwrite=overwrite)
-        with bars(json_lines=json_lines) as progress, CadWriter(wanted) as cad:
-            result = reconstruct_with(make_cloud(seed), Settings(), progress=progress, name="vase")
-            save(result, out, wanted, cad, progress, overwrite=overwrite)
+        check_scan_folder(kept, overwrite=overwrite)
+        try:
+            if not json_lines:
+                print(f"scanning {part} on a simulated station, into {kept}", flush=True)
+            with (
+                CadWriter(wanted) as cad,
+                simulate(part, seed=seed, scale=scale) as station,
+                scanning(station, kept) as scan,
+            ):
+                result = _followed(
+                    scan, out, wanted, cad, overwrite=overwrite, json_lines=json_lines
+                )
+            told = judge(part, out / "mesh.stl")
+        except ScanFailed as failed:
+            fail(failed.code, str(failed))
         tell(result, out, json_lines=json_lines)
+        _tell_truth(told, result, slice_period_s(kept), json_lines=json_lines)
 
     run(work, debug=debug)
+
+
+def _followed(
+    scan: Scanning,
+    out: Path,
+    formats: tuple[str, ...],
+    cad: CadWriter,
+    *,
+    overwrite: bool,
+    json_lines: bool,
+) -> Result:
+    """Fit every slice as it appears, and save the result."""
+    from loftscan.following import FollowedScan
+    from loftscan.reconstructing import Settings
+    from loftscan.streaming import finish, stream
+    from loftscan.warming import warm_up
+    from loftscan.watching import watching
+
+    with watching(json_lines=json_lines) as watch:
+        coming = FollowedScan(scan.folder, pause=scan.pause)
+        updates = stream(coming, Settings(), progress=watch.step, prepare=warm_up)
+        result = finish(watch.passing(updates))
+        save(result, out, formats, cad, watch.step, overwrite=overwrite)
+    return result
+
+
+def _tell_truth(
+    told: dict[str, float], result: Result, period_s: float, *, json_lines: bool
+) -> None:
+    """Say how far the walls lie from the true part, and how far the fitting lagged behind."""
+    lag_s = result.metrics.get("lag_median_s")
+    if json_lines:
+        print(json.dumps({"event": "truth", **told}))
+        print(json.dumps({"event": "lag", "median_s": lag_s, "slice_period_s": period_s}))
+        return
+    print(
+        f"truth, by the simulator: the walls lie {told['rms_mm']:.3f} mm rms from the part"
+        f" ({told['mean_mm']:+.3f} mm on average, 95 % within {told['percentile_95_mm']:.3f} mm,"
+        f" all within {told['max_mm']:.3f} mm; {told['points']} points, caps left out)"
+    )
+    if isinstance(lag_s, float):
+        print(f"live: a section {lag_s:.2f} s after its slice; a slice every {period_s:.2f} s")
