@@ -15,15 +15,38 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from loftscan.comparing import Comparison
     from loftscan.result import Result
-    from loftscan.verbs import compare, reconstruct
+    from loftscan.scanning import scan
+    from loftscan.simulation import simulate
+    from loftscan.station import Station
+    from loftscan.updates import Finished, Fitted, Missed
+    from loftscan.verbs import compare, reconstruct, reconstruct_stream
 
-__all__ = ["Comparison", "Result", "compare", "reconstruct"]
+__all__ = [
+    "Comparison",
+    "Finished",
+    "Fitted",
+    "Missed",
+    "Result",
+    "Station",
+    "compare",
+    "reconstruct",
+    "reconstruct_stream",
+    "scan",
+    "simulate",
+]
 
 _HOMES = {
     "Comparison": "loftscan.comparing",
+    "Finished": "loftscan.updates",
+    "Fitted": "loftscan.updates",
+    "Missed": "loftscan.updates",
     "Result": "loftscan.result",
+    "Station": "loftscan.station",
     "compare": "loftscan.verbs",
     "reconstruct": "loftscan.verbs",
+    "reconstruct_stream": "loftscan.verbs",
+    "scan": "loftscan.scanning",
+    "simulate": "loftscan.simulation",
 }
 
 

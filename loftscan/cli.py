@@ -12,9 +12,14 @@ from typing import Annotated
 
 import typer
 
+from loftscan.commands.bench import home, jog, profile, stop
 from loftscan.commands.compare import compare
 from loftscan.commands.demo import demo
+from loftscan.commands.devices import devices
 from loftscan.commands.reconstruct import reconstruct
+from loftscan.commands.scanning import scan
+from loftscan.commands.simulating import SETTINGS, sim
+from loftscan.commands.station import init
 
 app = typer.Typer(
     help="Turn the slices of a scanning station into one watertight NURBS surface.",
@@ -44,8 +49,9 @@ def _about(
     """Turn the slices of a scanning station into one watertight NURBS surface."""
 
 
-for each in (demo, reconstruct, compare):
+for each in (demo, init, devices, home, jog, stop, profile, scan, reconstruct, compare):
     app.command()(each)
+app.command(context_settings=SETTINGS)(sim)
 
 
 def main() -> None:

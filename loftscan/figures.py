@@ -37,6 +37,8 @@ _SIZE_PX = (1100, 760)
 _TITLE_PX = 44  # strip above a picture
 _BAR_PX = 170  # strip beside it for the colour bar
 _DOTS_PER_INCH = 130
+_CLOSE_UP_CELLS = 16
+_CLOSE_UP_SHARE = 0.25  # of the slice: a larger close-up shows nothing new
 _STYLE: Any = {  # the keys are a Literal type in new matplotlib, str in old
     "axes.edgecolor": MUTED,
     "axes.grid": True,
@@ -90,8 +92,11 @@ def section_figure(
     curve_mm: FloatArray | None = None,
     gaps_mm: Sequence[FloatArray] = (),
     left_out_mm: FloatArray | None = None,
+    measured: int | None = None,
 ) -> Figure:
     """Draw one slice in its plane: points, cells, contour, curve, gaps and what was left out.
+
+    Where the cells are small beside the slice a close-up of some of them stands beside it.
 
     Parameters
     ----------
@@ -107,21 +112,23 @@ def section_figure(
         Stretches of the curve that no point supports, (k, 2) each.
     left_out_mm
         Points that the curve does not follow, (l, 2).
+    measured
+        How many points the slice has, where `points_mm` are some of them.
     """
     with mpl.rc_context(_STYLE):
         figure, axes = _plane(title)
-        if cells is not None and len(cells.centres_mm):
-            _draw_cells(axes, cells)
-        _dots(axes, points_mm, MUTED, f"{len(points_mm):,} points")
-        if left_out_mm is not None and len(left_out_mm):
-            _dots(axes, left_out_mm, ORANGE, f"{len(left_out_mm):,} left out", size=5)
-        if contour_mm is not None:
-            axes.plot(*contour_mm.T, "o", ms=3.2, mfc="white", mec=BLUE, mew=1, label="contour")
-        if curve_mm is not None:
-            axes.plot(*curve_mm.T, color=BLUE, lw=1.4, label="curve")
-        for number, gap in enumerate(gaps_mm):
-            label = f"gaps, synthetic: {len(gaps_mm)}" if number == 0 else None
-            axes.plot(*gap.T, color=RED, lw=2.6, ls=(0, (2, 1)), label=label)
+        window = _close_up_window(points_mm, cells, curve_mm, gaps_mm)
+        shown = [axes] if window is None else [axes, _close_up(figure, axes, window)]
+        for each in shown:
+            if cells is not None and len(cells.centres_mm):
+                _draw_cells(each, cells)
+            label = f"{len(points_mm):,} points"
+            if measured is not None and measured > len(points_mm):
+                label = f"{len(points_mm):,} of {measured:,} points"
+            _dots(each, points_mm, MUTED, label)
+            if left_out_mm is not None and len(left_out_mm):
+                _dots(each, left_out_mm, ORANGE, f"{len(left_out_mm):,} left out", size=5)
+            _draw_lines(each, contour_mm, curve_mm, gaps_mm)
         figure.legend(
             *axes.get_legend_handles_labels(), loc="upper right", bbox_to_anchor=(0.99, 0.93)
         )
@@ -271,6 +278,49 @@ def _plane(title: str) -> tuple[Figure, Axes]:
     axes.set(title=title, xlabel="x [mm]", ylabel="y [mm]")
     axes.set_aspect("equal", adjustable="datalim")
     return figure, axes
+
+
+def _draw_lines(
+    axes: Axes,
+    contour_mm: FloatArray | None,
+    curve_mm: FloatArray | None,
+    gaps_mm: Sequence[FloatArray],
+) -> None:
+    if contour_mm is not None:
+        axes.plot(*contour_mm.T, "o", ms=3.2, mfc="white", mec=BLUE, mew=1, label="contour")
+    if curve_mm is not None:
+        axes.plot(*curve_mm.T, color=BLUE, lw=1.4, label="curve")
+    for number, gap in enumerate(gaps_mm):
+        label = f"gaps, synthetic: {len(gaps_mm)}" if number == 0 else None
+        axes.plot(*gap.T, color=RED, lw=2.6, ls=(0, (2, 1)), label=label)
+
+
+def _close_up_window(
+    points_mm: FloatArray,
+    cells: CellGrid | None,
+    curve_mm: FloatArray | None,
+    gaps_mm: Sequence[FloatArray],
+) -> tuple[FloatArray, float] | None:
+    """Middle and side of what is worth a close-up: a gap's end, else some place of the curve."""
+    if cells is None or curve_mm is None or not len(points_mm):
+        return None
+    side = _CLOSE_UP_CELLS * max(cells.size_mm)
+    if side > _CLOSE_UP_SHARE * float(np.ptp(points_mm, axis=0).max()):
+        return None
+    return (gaps_mm[0][0] if len(gaps_mm) else curve_mm[len(curve_mm) // 8]), side
+
+
+def _close_up(figure: Figure, whole: Axes, window: tuple[FloatArray, float]) -> Axes:
+    middle, side = window
+    low, high = middle - side / 2.0, middle + side / 2.0
+    axes = figure.add_axes((0.775, 0.1, 0.205, 0.205 * 7.6 / 5.6))
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xticks=(), yticks=())
+    axes.set_title(f"close-up, {side:.3g} mm", fontsize=8.5, color=MUTED, pad=4)
+    for place in ("right", "top"):
+        axes.spines[place].set_visible(True)
+    corners = np.array([low, (high[0], low[1]), high, (low[0], high[1]), low])
+    whole.plot(*corners.T, color=INK, lw=0.9, zorder=3)
+    return axes
 
 
 def _draw_cells(axes: Axes, cells: CellGrid) -> None:

@@ -7,18 +7,22 @@ from itertools import groupby
 
 import numpy as np
 
+from drivers.profiler import Reason
+from loftscan.gathering import Gathered
 from loftscan.metrics import is_one_turn
+from loftscan.scans import Absent
+from loftscan.sliced import Sliced
 from reconstruction.pipeline import Reconstruction
 from reconstruction.sections import Section, Skipped
 from reconstruction.setting_aside import Aside
-from reconstruction.slicing import Cutting
 
 _NOTABLE_SHARE = 0.02  # of a slice's points left out before the slice is named
 _NOTABLE_STRAYS = 0.005  # of all points
+_NOTABLE_LOST = 0.005  # of all places
 _WIDE_GAP_SHARE = 0.25  # of a section's length
 
 
-def judge(cutting: Cutting, done: Reconstruction) -> tuple[str, ...]:
+def judge(cutting: Sliced, done: Reconstruction) -> tuple[str, ...]:
     """Say what a person should know before using the surface; empty when there is nothing."""
     found = [
         _set_aside(cutting),
@@ -33,15 +37,50 @@ def judge(cutting: Cutting, done: Reconstruction) -> tuple[str, ...]:
     return tuple(sentence for sentence in found if sentence)
 
 
-def _set_aside(cutting: Cutting) -> str | None:
+def judge_arrivals(gathered: Gathered, name: str) -> tuple[str, ...]:
+    """Say what did not come from a scan called `name`; empty when there is nothing."""
+    found = [_missing(gathered), _damaged(gathered, name), _lost(gathered)]
+    return tuple(sentence for sentence in found if sentence)
+
+
+def _missing(gathered: Gathered) -> str | None:
+    missing = [each for each in gathered.absent if each.damage is None]
+    if not missing:
+        return None
+    return f"{_numbered('slice', missing)} of the plan: not there, so bridged or cut off"
+
+
+def _damaged(gathered: Gathered, name: str) -> str | None:
+    damaged = [each for each in gathered.absent if each.damage is not None]
+    if not damaged:
+        return None
+    return (
+        f"{_numbered('slice', damaged)} damaged, so left out ({damaged[0].damage}): `loftscan scan "
+        f"STATION.toml PLAN.toml --out {name} --resume` takes what is damaged again"
+    )
+
+
+def _lost(gathered: Gathered) -> str | None:
+    lost, places = int(gathered.reasons[Reason.LOST]), int(gathered.reasons.sum())
+    if lost <= _NOTABLE_LOST * places:
+        return None
+    return (
+        f"{lost} of {places} places ({lost / places:.1%}) of the profiles were lost between sensor "
+        "and computer: look at the network, or scan more slowly"
+    )
+
+
+def _set_aside(cutting: Sliced) -> str | None:
     plate = cutting.aside.get(Aside.PLATE, 0)
     if not plate:
         return None
     return f"{plate} points of the table plate under the part were set aside"
 
 
-def _strays(cutting: Cutting) -> str | None:
-    strays, points = cutting.aside.get(Aside.STRAY, 0), cutting.survey.points
+def _strays(cutting: Sliced) -> str | None:
+    aside = cutting.aside
+    strays = aside.get(Aside.STRAY, 0)
+    points = int(cutting.counts.sum()) + strays + aside.get(Aside.PLATE, 0)
     if strays <= _NOTABLE_STRAYS * points:
         return None
     heights = cutting.aside_mm[Aside.STRAY][:, cutting.axis.column]
@@ -86,13 +125,22 @@ def _crossing(sections: Iterable[Section]) -> str | None:
 
 
 def _skipped(done: Reconstruction) -> str | None:
-    if not done.skipped:
+    skipped = _within_the_part(done)
+    if not skipped:
         return None
-    fullest = max(done.skipped, key=lambda each: each.points)
+    fullest = max(skipped, key=lambda each: each.points)
     return (
-        f"{_numbered('slice', done.skipped)}: no section, so bridged or cut off "
+        f"{_numbered('slice', skipped)}: no section, so bridged or cut off "
         f"(slice {fullest.index}: {fullest.reason})"
     )
+
+
+def _within_the_part(done: Reconstruction) -> list[Skipped]:
+    """Skipped slices but for empty ends: a scan may begin below a part and end above it."""
+    seen = [each.index for each in done.sections]
+    seen += [each.index for each in done.skipped if each.points]
+    low, high = min(seen, default=0), max(seen, default=0)
+    return [each for each in done.skipped if each.points or low < each.index < high]
 
 
 def _patchless(done: Reconstruction) -> str | None:
@@ -104,16 +152,21 @@ def _patchless(done: Reconstruction) -> str | None:
     )
 
 
-def _lying(cutting: Cutting, sections: Iterable[Section]) -> str | None:
+def _lying(cutting: Sliced, sections: Iterable[Section]) -> str | None:
     """Most sections open: the part was probably not turned about this axis."""
     flags = [not section.contour.closed for section in sections]
     if not flags or np.mean(flags) < 0.5:
         return None
+    if isinstance(cutting, Gathered):
+        return (
+            "most sections are open: does the sensor see the part all round, and do table_sense, "
+            "sensor_x and standoff_mm of the station say how it stands?"
+        )
     axis = cutting.axis.value
     return f"most sections are open: was the part turned about another axis than --axis {axis}?"
 
 
-def _numbered(noun: str, things: Sequence[Section] | Sequence[Skipped]) -> str:
+def _numbered(noun: str, things: Sequence[Section] | Sequence[Skipped] | Sequence[Absent]) -> str:
     plural = "s" if len(things) > 1 else ""
     return f"{noun}{plural} {spans(each.index for each in things)}"
 

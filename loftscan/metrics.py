@@ -5,19 +5,20 @@ from __future__ import annotations
 import math
 import resource
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from loftscan.inputs import Input
+from drivers.profiler import Reason
+from loftscan.gathering import Gathered
+from loftscan.sliced import Counted, Sliced
 from reconstruction.comparison import Deviation
 from reconstruction.pipeline import Reconstruction
 from reconstruction.setting_aside import Aside
-from reconstruction.slicing import Cutting
 
 
 def gather(
-    source: Input, cutting: Cutting, done: Reconstruction, deviation: Deviation
+    source: Counted, cutting: Sliced, done: Reconstruction, deviation: Deviation
 ) -> dict[str, object]:
     """Collect what metrics.json says; docs/result-folder.md explains every name."""
     return {
@@ -28,7 +29,35 @@ def gather(
     }
 
 
-def _points(source: Input, cutting: Cutting, done: Reconstruction) -> dict[str, object]:
+def of_scan(gathered: Gathered) -> dict[str, object]:
+    """Collect what metrics.json says besides of slices that a scan delivered.
+
+    docs/scan-folder.md explains these names.
+    """
+    reasons = {reason.name.lower(): int(gathered.reasons[reason]) for reason in Reason}
+    del reasons["measured"]
+    damaged = sum(absent.damage is not None for absent in gathered.absent)
+    return {
+        "points_invalid_by_reason": reasons,
+        "points_lost": reasons["lost"],
+        "profiles": gathered.profiles,
+        "slices_missing": len(gathered.absent) - damaged,
+        "slices_damaged": damaged,
+    }
+
+
+def lag(lags_s: Sequence[float]) -> dict[str, object]:
+    """How long sections came after their slices; nothing where no slice was waited for."""
+    if not lags_s:
+        return {}
+    return {
+        "lag_median_s": float(np.median(lags_s)),
+        "lag_max_s": max(lags_s),
+        "lag_slices": len(lags_s),
+    }
+
+
+def _points(source: Counted, cutting: Sliced, done: Reconstruction) -> dict[str, object]:
     aside = {reason.name.lower(): cutting.aside.get(reason, 0) for reason in Aside}
     in_skipped = sum(each.points for each in done.skipped)
     return {
@@ -42,7 +71,7 @@ def _points(source: Input, cutting: Cutting, done: Reconstruction) -> dict[str, 
     }
 
 
-def _sections(cutting: Cutting, done: Reconstruction) -> dict[str, object]:
+def _sections(cutting: Sliced, done: Reconstruction) -> dict[str, object]:
     sections = done.sections
     length = sum(section.length_mm for section in sections)
     return {

@@ -13,14 +13,17 @@ from loftscan.inputs import Input, hash_file
 _LIBRARIES = ("numpy", "scipy", "numba", "pymeshlab", "cadquery-ocp-novtk", "rhino3dm")
 
 
-def record(source: Input, settings: Mapping[str, object]) -> dict[str, object]:
-    """Describe a reconstruction for provenance.json and for the headers of its files."""
+def record(origin: Mapping[str, object], settings: Mapping[str, object]) -> dict[str, object]:
+    """Describe a reconstruction for provenance.json and for the headers of its files.
+
+    `origin` is `describe` of a cloud, or what the source of a scan's slices says of itself.
+    """
     return {
         "program": "loftscan",
         "version": installed("loftscan"),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "unit": "mm",
-        "input": describe(source),
+        "input": dict(origin),
         "settings": dict(settings),
         "python": platform.python_version(),
         "libraries": {name: installed(name) for name in _LIBRARIES},

@@ -1,4 +1,4 @@
-"""The verb `reconstruct`: a cloud in, a result out."""
+"""The verb `reconstruct` for clouds: a cloud in, a result out. For slices: `loftscan.streaming`."""
 
 from __future__ import annotations
 
@@ -66,6 +66,10 @@ class Settings:
             raise ValueError(
                 f"--intermediate {self.intermediate}: 0 to {_MOST_INTERMEDIATE} rows are possible"
             )
+
+    def paper(self) -> PaperSettings:
+        """What of it the paper's method asks for."""
+        return PaperSettings(resolution_mm=self.resolution_mm, intermediate=self.intermediate)
 
     def said(self) -> dict[str, object]:
         """The settings as provenance.json says them."""
@@ -147,8 +151,8 @@ def _counted(opened: Input, progress: Progress) -> Pass:
 def _draw(
     slices: Iterator[Slice], count: int, settings: Settings, progress: Progress
 ) -> Reconstruction:
-    paper = PaperSettings(resolution_mm=settings.resolution_mm, intermediate=settings.intermediate)
-    for number, ready in enumerate(reconstruct_paper(slices, paper, settings.cleanup), start=1):
+    drawn = reconstruct_paper(slices, settings.paper(), settings.cleanup)
+    for number, ready in enumerate(drawn, start=1):
         if isinstance(ready, Reconstruction):
             return ready
         progress("sections", number, count)
@@ -179,7 +183,7 @@ def _conclude(
         sample_mm=sample_mm,
         deviation=deviation,
         metrics=numbers,
-        provenance=provenance.record(opened, settings.said()),
+        provenance=provenance.record(provenance.describe(opened), settings.said()),
         warnings=tuple([size] if size else []) + judge(cutting, done),
     )
 

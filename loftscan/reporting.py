@@ -288,6 +288,7 @@ def _section_picture(result: Result, section: Section) -> Picture:
         curve_mm=curve,
         gaps_mm=[_gap(section, u0, u1) for u0, u1 in section.gaps],
         left_out_mm=frame.to_plane(section.left_out_mm)[:, :2],
+        measured=section.points,
     )
     caption = (
         f"{section.points} points, {len(contour.points_mm)} centres of mass in cells of "
@@ -307,13 +308,13 @@ def _gap(section: Section, u0: float, u1: float) -> FloatArray:
 _SECTION_NAMES = "slices sections spacing patch control thickness radius cell gap"
 _MESH_NAMES = "vertices faces watertight oriented manifold euler components volume area"
 _GROUPS = {
-    "Points": ("points_",),
+    "Points": ("points_", "profiles"),
     "Sections": tuple(_SECTION_NAMES.split()),
     "Residuals": ("residual", "surface_deviation", "tolerance", "share_within", "within"),
     "Mesh": tuple(_MESH_NAMES.split()),
-    "Effort": ("seconds", "peak"),
+    "Effort": ("seconds", "peak", "lag"),
 }
-_UNITS = {"_mm": "mm", "_mm2": "mm²", "_mm3": "mm³", "_mb": "MB", "seconds": "s"}
+_UNITS = {"_mm": "mm", "_mm2": "mm²", "_mm3": "mm³", "_mb": "MB", "seconds": "s", "_s": "s"}
 
 
 def _tables(result: Result) -> tuple[MetricGroup, ...]:

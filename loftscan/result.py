@@ -13,6 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from loftscan.cad_files import CadWriter
+from loftscan.sliced import Sliced
 from reconstruction.arrays import FloatArray
 from reconstruction.comparison import Deviation
 from reconstruction.errors import MissingExtra
@@ -28,7 +29,6 @@ from reconstruction.meshing import Mesh
 from reconstruction.nurbs import Surface
 from reconstruction.pipeline import Reconstruction
 from reconstruction.sections import Section
-from reconstruction.slicing import Cutting
 
 FORMATS = ("step", "3dm", "stl", "ply", "glb")
 _LIBRARY_OF = {"step": "OCP", "3dm": "rhino3dm"}
@@ -55,7 +55,7 @@ class Result:
 
     name: str
     reconstruction: Reconstruction
-    cutting: Cutting
+    cutting: Sliced  # a `Cutting` of a cloud, or what was `Gathered` from a scan
     sample_mm: FloatArray  # (k, 3) an even sample of the measured points used
     deviation: Deviation  # of that sample from the mesh
     metrics: dict[str, object]

@@ -2,26 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from acquisition.frames import Kinematics
+from acquisition.poses import Sweep
+from acquisition.scanfile import ScanFolder
 from loftscan.comparing import Comparison, compare_things
+from loftscan.following import PATIENCE_S, FollowedScan, KeptScan
 from loftscan.inputs import Unit
 from loftscan.progress import Progress, silent
 from loftscan.reconstructing import Method, Settings, reconstruct_with
 from loftscan.result import Result
+from loftscan.scans import GivenSlices, GivenSweeps, Source, Sweeps, is_scan
+from loftscan.streaming import finish, stream
+from loftscan.updates import Update
+from loftscan.warming import warm_up
 from reconstruction.cleanup import CleanupSettings
 from reconstruction.comparison import Align
 from reconstruction.reduction import Box
+from reconstruction.slices import Slice
 from reconstruction.survey import Axis
 
 
 def reconstruct(
-    source: Path | str | ArrayLike,
+    source: Path | str | ArrayLike | Iterable[Slice] | Sweeps,
     *,
     axis: Literal["x", "y", "z"] = "z",
     unit: Literal["mm", "cm", "m", "um", "inch"] = "mm",
@@ -35,20 +44,21 @@ def reconstruct(
     decimate_to_faces: int | None = None,
     progress: Progress = silent,
 ) -> Result:
-    """Reconstruct a surface from a cloud.
+    """Reconstruct a surface from a cloud, or from the slices of a scan.
 
     Parameters
     ----------
     source
-        A cloud file (.ply .pcd .xyz .pts .txt .csv .npy) or an (n, 3) array.
+        A cloud file (.ply .pcd .xyz .pts .txt .csv .npy) or an (n, 3) array; a .scan folder as it
+        is now; what `scan` gives; or an iterator of `Slice`, in mm.
     axis
-        The stacking axis: the turntable's, or the stage's.
+        The stacking axis of a cloud: the turntable's, or the stage's. A scan's slices say theirs.
     unit
-        Of the coordinates in `source`; everything after is in mm.
+        Of a cloud's coordinates; everything after is in mm.
     method
         ``"paper"``, the method of the paper.
     spacing_mm, resolution_mm
-        Distance between slices, and side of a cell; by default found from the cloud.
+        Distance between slices (of a cloud only), and side of a cell; by default found from it.
     tolerance_mm
         Judge the points by this distance from the mesh.
     crop_mm
@@ -78,7 +88,97 @@ def reconstruct(
         intermediate=intermediate,
         cleanup=CleanupSettings(remesh_edge_mm=remesh_edge_mm, decimate_to_faces=decimate_to_faces),
     )
-    return reconstruct_with(source, settings, progress=progress)
+    slices = _slices_in(source)
+    if slices is not None:
+        return finish(stream(slices, settings, progress=progress))
+    return reconstruct_with(source, settings, progress=progress)  # type: ignore[arg-type] # no slices: a cloud
+
+
+def reconstruct_stream(
+    source: Path | str | Sweeps | Iterable[Slice] | Iterable[Sweep],
+    *,
+    kinematics: Kinematics | None = None,
+    name: str | None = None,
+    resolution_mm: float | None = None,
+    tolerance_mm: float | None = None,
+    crop_mm: Sequence[Sequence[float]] | None = None,
+    intermediate: int = 0,
+    remesh_edge_mm: float | None = None,
+    decimate_to_faces: int | None = None,
+    patience_s: float = PATIENCE_S,
+    progress: Progress = silent,
+) -> Generator[Update]:
+    """Reconstruct slices while they come.
+
+    Parameters
+    ----------
+    source
+        What `scan` gives; a .scan folder, which is followed while another program writes it;
+        sweeps, with their `kinematics`; or an iterator of `Slice`, in mm.
+    kinematics
+        How the axes and the sensor stand, for sweeps that do not say it.
+    name
+        Of the result; by default that of the folder.
+    patience_s
+        How long a folder that is not there yet is waited for.
+
+    The other parameters are those of `reconstruct`.
+
+    Yields
+    ------
+    Fitted
+        A section, as soon as its slice was there; its `mesh()` is that of the sections so far.
+    Missed
+        A slice that gave no section, and why.
+    Finished
+        At last, with the `result`.
+
+    Raises
+    ------
+    reconstruction.errors.ReconstructionError, acquisition.errors.AcquisitionError
+        The work or the scan failed; the message says what and what to do.
+    ValueError
+        For an argument that cannot be meant.
+    """
+    settings = Settings(
+        resolution_mm=resolution_mm,
+        tolerance_mm=tolerance_mm,
+        crop=None if crop_mm is None else _box(crop_mm),
+        intermediate=intermediate,
+        cleanup=CleanupSettings(remesh_edge_mm=remesh_edge_mm, decimate_to_faces=decimate_to_faces),
+    )
+    slices = _coming(source, kinematics, patience_s)
+    return stream(slices, settings, name=name, progress=progress, prepare=warm_up)
+
+
+def _coming(
+    source: Path | str | Sweeps | Iterable[Slice] | Iterable[Sweep],
+    kinematics: Kinematics | None,
+    patience_s: float,
+) -> Source:
+    if isinstance(source, (str, Path)):
+        return FollowedScan(Path(source), patience_s=patience_s)
+    if isinstance(source, Sweeps):
+        return GivenSweeps(source, source.kinematics, source.total)
+    if kinematics is not None:
+        return GivenSweeps(source, kinematics, _length(source))  # type: ignore[arg-type] # told so
+    return GivenSlices(source, _length(source))  # type: ignore[arg-type] # checked as they come
+
+
+def _slices_in(source: object) -> Source | None:
+    """The slices that a source holds or gives; None for a cloud."""
+    if isinstance(source, (str, Path)):
+        return KeptScan(ScanFolder.open(Path(source))) if is_scan(source) else None
+    if isinstance(source, Sweeps):
+        return GivenSweeps(source, source.kinematics, source.total)
+    listed = isinstance(source, (list, tuple)) and source and isinstance(source[0], Slice)
+    if isinstance(source, Iterator) or listed:
+        return GivenSlices(source, _length(source))  # type: ignore[arg-type] # checked as they come
+    return None
+
+
+def _length(source: object) -> int | None:
+    return len(source) if isinstance(source, (list, tuple)) else None
 
 
 def _box(corners_mm: Sequence[Sequence[float]]) -> Box:

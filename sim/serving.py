@@ -115,7 +115,6 @@ class Server:
 
         def look(_events: int) -> None:
             if not os.read(descriptor, 65536):
-                self._selector.unregister(descriptor)
                 ending.ask()
 
         self._selector.register(descriptor, selectors.EVENT_READ, look)

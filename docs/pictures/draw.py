@@ -1,4 +1,4 @@
-"""Draw the README's picture: the demo's cloud, its sections, its mesh.
+"""Draw the README's picture: a cloud, its sections, its mesh.
 
 Run it from the repository: ``python docs/pictures/draw.py``.
 """
@@ -10,9 +10,9 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+from noisy_vase import make_cloud
 
 from loftscan import reconstruct
-from loftscan.demo import make_cloud
 from loftscan.rendering import (
     Edges,
     MeshLayer,

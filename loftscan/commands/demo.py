@@ -55,8 +55,9 @@ def demo(
                 scanning(station, kept) as scan,
             ):
                 result = _followed(
-                    scan, out, wanted, cad, overwrite=overwrite, json_lines=json_lines
-                )
+                    scan, Path(part).stem, out, wanted, cad,
+                    overwrite=overwrite, json_lines=json_lines,
+                )  # fmt: skip
             told = judge(part, out / "mesh.stl")
         except ScanFailed as failed:
             fail(failed.code, str(failed))
@@ -68,6 +69,7 @@ def demo(
 
 def _followed(
     scan: Scanning,
+    name: str,
     out: Path,
     formats: tuple[str, ...],
     cad: CadWriter,
@@ -84,7 +86,7 @@ def _followed(
 
     with watching(json_lines=json_lines) as watch:
         coming = FollowedScan(scan.folder, pause=scan.pause)
-        updates = stream(coming, Settings(), progress=watch.step, prepare=warm_up)
+        updates = stream(coming, Settings(), name=name, progress=watch.step, prepare=warm_up)
         result = finish(watch.passing(updates))
         save(result, out, formats, cad, watch.step, overwrite=overwrite)
     return result

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -22,14 +24,25 @@ from loftscan.commands.outcome import save, tell, writable_formats
 from loftscan.commands.running import run
 
 if TYPE_CHECKING:
+    from loftscan.progress import Progress
     from loftscan.reconstructing import Settings
+    from loftscan.result import Result
 
 
 def reconstruct(
     source: Annotated[
-        Path, typer.Argument(metavar="INPUT", help="A cloud: .ply .pcd .xyz .pts .txt .csv .npy")
+        Path,
+        typer.Argument(
+            metavar="INPUT", help="A .scan folder, or a cloud: .ply .pcd .xyz .pts .txt .csv .npy"
+        ),
     ],
     out: Out,
+    follow: Annotated[
+        bool, typer.Option("--follow", help="Take a scan's slices as another program writes them.")
+    ] = False,
+    patience_s: Annotated[
+        float, typer.Option(help="With --follow: seconds to wait for the scan to begin.", min=0.0)
+    ] = 60.0,
     method: Annotated[str, typer.Option(help="How sections are made: paper.")] = "paper",
     axis: Annotated[str, typer.Option(help="Stacking axis: x, y or z.")] = "z",
     unit: UnitName = "mm",
@@ -53,12 +66,10 @@ def reconstruct(
     json_lines: JsonLines = False,
     debug: Debug = False,
 ) -> None:
-    """Turn a point cloud into a watertight mesh, NURBS patches and a report."""
+    """Turn a scan or a point cloud into a watertight mesh, NURBS patches and a report."""
 
     def work() -> None:
         from loftscan.cad_files import CadWriter
-        from loftscan.progress import bars
-        from loftscan.reconstructing import reconstruct_with
         from loftscan.result import check_output
 
         settings = _settings(
@@ -68,12 +79,66 @@ def reconstruct(
         # Refused before the work, not after it.
         wanted = writable_formats(formats)
         check_output(out, overwrite=overwrite)
-        with bars(json_lines=json_lines) as progress, CadWriter(wanted) as cad:
-            result = reconstruct_with(source, settings, progress=progress)
-            save(result, out, wanted, cad, progress, overwrite=overwrite)
+        with CadWriter(wanted) as cad:
+            if follow:
+                making = _followed(source, settings, patience_s, json_lines=json_lines)
+            else:
+                making = _made(source, settings, json_lines=json_lines)
+            with making as (result, progress):
+                save(result, out, wanted, cad, progress, overwrite=overwrite)
         tell(result, out, json_lines=json_lines)
+        if not json_lines:
+            _tell_lag(result)
 
     run(work, debug=debug)
+
+
+@contextmanager
+def _made(
+    source: Path, settings: Settings, *, json_lines: bool
+) -> Iterator[tuple[Result, Progress]]:
+    """The result of what is there, and the progress to go on with."""
+    from acquisition.scanfile import ScanFolder
+    from loftscan.following import KeptScan
+    from loftscan.progress import bars
+    from loftscan.reconstructing import reconstruct_with
+    from loftscan.scans import is_scan
+    from loftscan.streaming import finish, stream
+
+    with bars(json_lines=json_lines) as progress:
+        if is_scan(source):
+            kept = KeptScan(ScanFolder.open(source))
+            yield finish(stream(kept, settings, progress=progress)), progress
+        else:
+            yield reconstruct_with(source, settings, progress=progress), progress
+
+
+@contextmanager
+def _followed(
+    source: Path, settings: Settings, patience_s: float, *, json_lines: bool
+) -> Iterator[tuple[Result, Progress]]:
+    """The result of a scan that another program is writing, told slice by slice."""
+    from loftscan.following import FollowedScan, is_begun
+    from loftscan.streaming import check_settings, finish, stream
+    from loftscan.warming import warm_up
+    from loftscan.watching import watching
+
+    check_settings(settings)
+    if not is_begun(source) and not json_lines:
+        typer.echo(f"waiting for {source} to begin, at most {patience_s:g} s", err=True)
+    with watching(json_lines=json_lines) as watch:
+        coming = FollowedScan(source, patience_s=patience_s)
+        updates = stream(coming, settings, progress=watch.step, prepare=warm_up)
+        yield finish(watch.passing(updates)), watch.step
+
+
+def _tell_lag(result: Result) -> None:
+    numbers = result.metrics
+    if "lag_median_s" in numbers:
+        print(
+            f"lag: {numbers['lag_median_s']:.2f} s from a slice's file to its section, at most"
+            f" {numbers['lag_max_s']:.2f} s, of {numbers['lag_slices']} slices"
+        )
 
 
 def _settings(

@@ -56,8 +56,8 @@ def _exit_code(error: BaseException) -> int:
 
 
 def _say(error: BaseException) -> str:
-    notes = "; ".join(getattr(error, "__notes__", ()))
-    return f"{_message(error)}; {notes}" if notes else _message(error)
+    # What failed twice for one reason is told once.
+    return "; ".join(dict.fromkeys((_message(error), *getattr(error, "__notes__", ()))))
 
 
 def _message(error: BaseException) -> str:
@@ -66,9 +66,17 @@ def _message(error: BaseException) -> str:
     if isinstance(error, MemoryError):
         remedy = "use a larger --resolution-mm or --spacing-mm, less --intermediate, or --crop"
         return f"out of memory ({error}); {remedy}"
-    if isinstance(error, OSError) and error.errno is not None:
+    if isinstance(error, OSError) and error.errno is not None and not _is_ours(error):
         return _explain(error)
-    return str(error)
+    return str(error.strerror) if isinstance(error, OSError) and error.strerror else str(error)
+
+
+def _is_ours(error: OSError) -> bool:
+    """Whether the message is one of ours already, and says what to do."""
+    from acquisition.errors import AcquisitionError
+    from drivers.errors import DriverError
+
+    return isinstance(error, (AcquisitionError, DriverError))
 
 
 _UNWRITABLE = {

@@ -10,10 +10,11 @@ from sim import Flaws, Mounting, OpticalBench, OpticsSettings, Part, Reason, See
 from sim.hierarchy import arrange
 from sim.parts import badly_acquired, blade, cone, cylinder, vase
 from sim.sensor import Hand, Turning
+from sim.shadows import hide
 from sim.sheet import Slicer
 from tests.sim.optics_cases import naive_hits, shifted, turned
 
-SENSOR = Sensor(points=61, near_mm=190.0, far_mm=250.0, width_mm=96.0)
+SENSOR = Sensor(points=45, near_mm=190.0, far_mm=250.0, width_mm=96.0)
 FLAWS = Flaws(steepest_incidence_rad=math.radians(65.0), faintest=0.2)
 MOUNTING = Mounting(
     side_mm=1.3, azimuth_rad=0.4, turning=Turning.CLOCKWISE, hand=Hand.LEFT, height_mm=0.7
@@ -158,12 +159,12 @@ def test_what_hangs_straight_over_the_emitter_hides_no_beam_that_was_not_lit():
     assert {Reason.NO_HIT, Reason.OCCLUDED} <= set(found)
 
 
-def test_the_seam_of_two_faces_hides_what_the_faces_hide():
+@pytest.mark.parametrize("roll", [0, 1, 2])  # the seam as the first, second and third edge of both
+def test_the_seam_of_two_faces_hides_what_the_faces_hide(roll):
     peg = cylinder(8.0, 20.0, around=64, levels=2)
-    fence_mm = np.array(
-        [[60.0, 0.0, 10.5], [60.0, 0.0, 60.0], [60.0, 5.0, 30.0], [60.0, -5.0, 30.0]]
-    )
-    fence = np.array([[0, 1, 2], [0, 3, 1]]) + len(peg.vertices_mm)
+    low, high, left, right = np.arange(4) + len(peg.vertices_mm)
+    fence_mm = np.array([[60.0, 0, 10.5], [60.0, 0, 60.0], [60.0, 5.0, 30.0], [60.0, -5.0, 30.0]])
+    fence = np.roll([[low, high, left], [high, low, right]], roll, axis=1)
     vertices_mm = np.concatenate([peg.vertices_mm, fence_mm])
     part = Part("fence", vertices_mm, np.concatenate([peg.faces, fence]))
     for points in (1279, 1281, 1283):  # the middle beam looks along the seam, straight at the part
@@ -171,6 +172,31 @@ def test_the_seam_of_two_faces_hides_what_the_faces_hide():
         profile = bench.profile(0.0, 10.0, SeedKey(0, 0))
         middle = points // 2
         assert set(profile.reasons[middle - 10 : middle + 11]) == {Reason.OCCLUDED}
+
+
+@pytest.mark.parametrize("rise_mm", [70.0, -50.0])
+@pytest.mark.parametrize("side_mm", [-30.0, 0.0, 30.0])
+def test_the_boxes_spare_work_and_change_no_answer(rise_mm, side_mm):
+    part, height_mm = soup(40.0, 4000), 40.1
+    tree = arrange(part)
+    boundless = tree.boxes_mm + np.array([0.0, 0.0, 1e6, 1e6, -1e6, 1e6])
+    boundless.flags.writeable = False  # as the tree is: one kernel serves both
+    slopes = np.linspace(-0.9, 0.9, 2001)
+    turns_rad = np.arange(6.0)
+    cosine, sine = np.cos(turns_rad), np.sin(turns_rad)
+    ahead = np.stack([-cosine, -sine, np.full(6, 90.0)], axis=1)
+    across = np.stack([-sine, cosine, np.full(6, side_mm)], axis=1)
+    frames = np.stack([ahead, across], axis=1)
+    start_mm = np.random.default_rng(1).uniform(30.0, 150.0, (6, 1)) + 20.0 * slopes
+    answers = []
+    for boxes_mm in (tree.boxes_mm, boundless):
+        reasons = np.zeros((6, 2001), np.uint8)
+        reasons[:, ::7] = Reason.GRAZING
+        hide((boxes_mm, tree.corners_mm), frames, slopes, (height_mm, rise_mm), start_mm, reasons)
+        answers.append(reasons)
+    assert np.array_equal(*answers)
+    assert np.all(answers[0][:, ::7] == Reason.GRAZING)
+    assert 0.05 < (answers[0] == Reason.OCCLUDED).mean() < 0.8
 
 
 def test_first_hits_and_shadows_of_a_whole_ring_are_those_of_embree():

@@ -275,19 +275,12 @@ def test_every_nth_datagram_is_lost_and_no_other() -> None:
 # --- the laser does not wait for the simulator ---------------------------------------------------
 
 
-class CountingBench(OpticalBench):
-    """Notes at which heights it was asked."""
-
-    heights_mm: list[float]
-
-    def profile(self, table_rad, stage_mm, seed_key):  # type: ignore[no-untyped-def]
-        self.heights_mm.append(stage_mm)
-        return super().profile(table_rad, stage_mm, seed_key)
-
-
-def test_a_new_height_is_looked_at_once_when_the_stage_stands_and_the_laser_is_off() -> None:
-    bench = CountingBench(cylinder(around=32), Layout().optics)
-    bench.heights_mm = []
+def test_a_new_height_is_looked_at_once_when_the_stage_stands_and_the_laser_is_off(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bench = OpticalBench(cylinder(around=32), Layout().optics)
+    heights_mm: list[float] = []
+    monkeypatch.setattr(bench, "profile", lambda _, stage_mm, __: heights_mm.append(stage_mm))
     pace, witness = Pace(), Memory()
     axes = [
         WorldAxis(name, AxisMotion.standing(0.0, Limits(10.0, 100.0)), pace, witness)
@@ -297,17 +290,38 @@ def test_a_new_height_is_looked_at_once_when_the_stage_stands_and_the_laser_is_o
     foresight = Foresight(world)
     foresight.tick(0.0)
     foresight.tick(1.0)
-    assert bench.heights_mm == [0.0]
+    assert heights_mm == [0.0]
     world.stage.go(10.0, 1.0, speed=10.0)
     foresight.tick(1.5)
-    assert bench.heights_mm == [0.0]
+    assert heights_mm == [0.0]
     world.switch_laser(1.6, on=True, why="test")
     foresight.tick(5.0)
-    assert bench.heights_mm == [0.0]
+    assert heights_mm == [0.0]
     world.switch_laser(5.1, on=False, why="test")
     foresight.tick(6.0)
     foresight.tick(7.0)
-    assert bench.heights_mm == [0.0, 10.0]
+    assert heights_mm == [0.0, 10.0]
+
+
+def test_the_station_is_lively_while_anything_moves_or_the_laser_is_on() -> None:
+    devices = build(Layout(), cylinder(around=32), Memory(), 0.0)
+    world = devices.world
+    assert not devices.lively(1.0)
+    for axis in (world.table, world.stage):
+        axis.go(axis.motor(1.0) + 1.0, 1.0, speed=1.0)
+        assert devices.lively(1.5)
+        axis.brake(1.5)
+        assert not devices.lively(9.0)
+    world.switch_laser(9.0, on=True, why="test")
+    assert devices.lively(9.0)
+
+
+def test_the_sensors_rate_is_the_layouts_in_the_stations_own_time() -> None:
+    layout = Layout(rate_hz=20.0, time_scale=2.0)
+    devices = build(layout, cylinder(around=32), Memory(), 0.0)
+    devices.world.switch_laser(0.0, on=True, why="test")
+    sent = [devices.profiler.datagrams(0.003 * step) for step in range(1, 334)]
+    assert sum(bool(each) for each in sent) == pytest.approx(40, abs=1)
 
 
 # --- real drivers at the wires, one process ------------------------------------------------------
@@ -547,7 +561,7 @@ def running(*words: str, **environment: str) -> Iterator[subprocess.Popen[str]]:
         stderr=subprocess.PIPE,
         text=True,
         cwd=REPOSITORY,
-        env={**os.environ, **environment},
+        env={**os.environ, "PYTHONUNBUFFERED": "", **environment},
     ) as process:
         try:
             yield process
@@ -693,19 +707,20 @@ def test_bad_usage_is_one_line_with_the_remedy_and_exit_2(
 def test_what_is_asked_for_becomes_the_layout(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    asked: list[Layout] = []
+    asked: list[tuple[Layout, Faults]] = []
 
-    def build_none(layout: Layout, *_: object, **__: object) -> NoReturn:
-        asked.append(layout)
+    def build_none(layout: Layout, *_: object, faults: Faults) -> NoReturn:
+        asked.append((layout, faults))
         raise ValueError("enough")
 
     monkeypatch.setattr("signal.signal", lambda *_: None)
     monkeypatch.setattr("sim.__main__.build", build_none)
     words = "--seed 9 --scale 2.5 --cloud-width-mm 0.3 --outliers 0.02 --part cone --out"
     assert main([*words.split(), str(tmp_path)]) == 2
-    assert main(["--part", "cone", "--out", str(tmp_path)]) == 2
+    words = "--part cone --faults stall-stage=9 --out"
+    assert main([*words.split(), str(tmp_path)]) == 2
     wanted = Layout(seed=9, time_scale=2.5, cloud_width_mm=0.3, outlier_rate=0.02)
-    assert asked == [wanted, Layout()]
+    assert asked == [(wanted, Faults()), (Layout(), parse_faults("stall-stage=9"))]
     assert (wanted.optics.flaws.cloud_width_mm, wanted.optics.flaws.outlier_rate) == (0.3, 0.02)
     assert (wanted.optics.flaws.seed, wanted.optics.flaws.speckle_points) == (9, 4)
 

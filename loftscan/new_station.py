@@ -1,0 +1,134 @@
+"""The station.toml and the plan.toml that `loftscan init` leaves behind.
+
+What nobody said stands there as a placeholder, marked as one: the file is whole and can be read,
+and a search for PLACEHOLDER finds what is still to be measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from acquisition.plan import Plan, check_plan, ring, write_plan
+from acquisition.settings import read_table
+from acquisition.station import Station, write_station
+from drivers.addresses import parse_address
+
+NO_SWITCH = "none"
+MARK = "PLACEHOLDER, to be set: "
+_PLAN_STEP_MM = 1.0
+_PLAN_STOPS = 360
+_PLAN_HEIGHT_MM = 50.0
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """One value of station.toml that differs from station to station."""
+
+    key: str  # table.key of the file
+    words: str
+    placeholder: str | float | int
+
+    def read(self, text: str) -> str | float | int:
+        """Read what a person typed.
+
+        Raises
+        ------
+        ValueError
+            Not what is asked for; says what is.
+        """
+        if isinstance(self.placeholder, str):
+            if not (self.key == "laser.address" and text == NO_SWITCH):
+                parse_address(text)
+            return text
+        try:
+            return type(self.placeholder)(text)
+        except ValueError as wrong:
+            kind = "whole number" if isinstance(self.placeholder, int) else "number"
+            raise ValueError(f"{text!r} is no {kind}, such as {self.placeholder}") from wrong
+
+
+QUESTIONS = (
+    Question("table.address", "port of the table's board", "serial:///dev/ttyUSB0?baud=115200"),
+    Question("table.steps_per_deg", "steps a degree of the table ($100 of the board)", 100.0),
+    Question("table.speed_deg_s", "speed of the table, degrees a second", 90.0),
+    Question("table.lowest_deg", "lowest angle of the table, degrees", -10.0),
+    Question("table.highest_deg", "highest angle of the table, degrees", 370.0),
+    Question("stage.address", "bus of the stage's drive", "serial:///dev/ttyUSB1?baud=115200"),
+    Question("stage.pulses_per_turn", "pulses a turn, as set in the drive", 10_000),
+    Question("stage.screw_lead_mm", "lead of the screw, mm a turn", 5.0),
+    Question("stage.speed_mm_s", "speed of the stage, mm a second", 10.0),
+    Question("stage.lowest_mm", "lowest position of the stage, mm", 0.0),
+    Question("stage.highest_mm", "highest position of the stage, mm", 100.0),
+    Question("profiler.address", "the profiler's Modbus", "tcp://192.168.0.250:502"),
+    Question("profiler.profiles", "where its profiles arrive", "udp://:1234"),
+    Question("profiler.rate_hz", "profiles a second", 100.0),
+    Question("profiler.points_per_profile", "points of a profile, at most", 640),
+    Question("profiler.x_mm_per_count", "mm a count of x", 0.01),
+    Question("profiler.z_mm_per_count", "mm a count of z", 0.01),
+    Question("laser.address", "the laser relay's Modbus, or none", "tcp://192.168.0.254:502"),
+    Question("laser.watchdog_s", "seconds of silence after which the relay drops", 0.25),
+    Question("kinematics.height_mm", "height of the laser plane over the plate, stage at 0", 0.0),
+    Question("kinematics.standoff_mm", "from the sensor's z = 0 to the table's axis", 200.0),
+)
+_FIXED = {
+    "table": {"family": "grbl"},
+    "stage": {"family": "leadshine"},
+    "profiler": {"family": "baumer_ox"},
+    "laser": {"switch": "relay", "family": "turck"},
+    "kinematics": {"kind": "nominal", "table_sense": "counter-clockwise", "stage_sense": "up"},
+}
+_ALWAYS_TO_CHECK = ("kinematics.table_sense", "kinematics.stage_sense")
+
+
+def new_station(answers: Mapping[str, str | float | int], name: str) -> tuple[str, tuple[str, ...]]:
+    """Write a station.toml of the answers by key, and name its placeholders.
+
+    Raises
+    ------
+    ValueError
+        An answer is out of bounds; names the key.
+    """
+    wanted = [each for each in QUESTIONS if not _superfluous(each.key, answers)]
+    given = {each.key: answers.get(each.key, each.placeholder) for each in wanted}
+    station = read_table(Station, _nested(given), name)
+    open_keys = [each.key for each in wanted if each.key not in answers]
+    to_set = (*open_keys, *_ALWAYS_TO_CHECK)
+    return _marked(write_station(station), to_set), to_set
+
+
+def new_plan(station: Station) -> str:
+    """Write a plan.toml that stays within a station's limits, to be adapted to the part."""
+    low_mm, high_mm = station.stage.lowest_mm, station.stage.highest_mm
+    plan: Plan = ring(low_mm, min(high_mm, low_mm + _PLAN_HEIGHT_MM), _PLAN_STEP_MM, _PLAN_STOPS)
+    check_plan(plan, station)
+    return write_plan(plan)
+
+
+def _superfluous(key: str, answers: Mapping[str, object]) -> bool:
+    return key.startswith("laser.") and answers.get("laser.address") == NO_SWITCH
+
+
+def _nested(values: Mapping[str, object]) -> dict[str, dict[str, Any]]:
+    nested: dict[str, dict[str, Any]] = {name: dict(table) for name, table in _FIXED.items()}
+    for path, value in values.items():
+        table, _, key = path.partition(".")
+        nested[table][key] = value
+    if not any(path.startswith("laser.") for path in values):
+        nested["laser"] = {"switch": NO_SWITCH}
+    return nested
+
+
+def _marked(text: str, keys: Collection[str]) -> str:
+    """Put the mark before the remark of each of these keys."""
+    table, lines = "", []
+    for line in text.splitlines():
+        if line.startswith("["):
+            table = line.strip("[]")
+        key, _, rest = line.partition(" = ")
+        if f"{table}.{key}" in keys and not line.startswith("#"):
+            value, _, remark = rest.rpartition("  # ")
+            line = f"{key} = {value}  # {MARK}{remark}"
+        lines.append(line)
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,164 @@
+"""A scan's folder before the scan: may it be there, does it fit the disk, is it that scan's.
+
+All of it is asked before the station is opened, and the folder appears only after every device has
+answered: a cable that is out leaves no empty scan behind.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from acquisition.errors import StorageFailed
+from acquisition.plan import Estimate, Plan, check_plan, estimate
+from acquisition.scan_record import ScanRecord
+from acquisition.scanfile import ScanFolder, ScanWriter
+from acquisition.settings import as_table
+from acquisition.station import Station
+
+_RECORD_BYTES = 65_536
+# What a resume must not change: it decides where the kept slices' points are.
+_MEANING = (
+    *("kinematics", "table.letter", "table.steps_per_deg", "table.zero", "table.zero_deg"),
+    *("stage.pulses_per_turn", "stage.screw_lead_mm"),
+    *("stage.home_mark", "stage.home_way", "stage.home_position_mm"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Prospect:
+    """A scan that may begin: what it will cost, where it goes, what is there already."""
+
+    station: Station
+    plan: Plan
+    out: Path
+    resumed: bool
+    kept: tuple[int, ...]  # indices that are on the disk already
+    missing: tuple[int, ...]
+    cost: Estimate  # of the missing slices
+    free_bytes: int
+
+    def begin(self, created: datetime) -> ScanWriter:
+        """Make the folder, or open the one that is resumed."""
+        if self.resumed:
+            return ScanFolder.open(self.out).resume()
+        record = ScanRecord(
+            station=self.station,
+            plan=self.plan,
+            calibration=self.station.kinematics,
+            software=f"loftscan {version('loftscan')}",
+            created=created.astimezone(UTC).isoformat(timespec="seconds"),
+        )
+        return ScanFolder.create(self.out, record)
+
+
+def prospect(
+    station: Station, plan: Plan, out: Path, *, resume: bool, plan_name: str = "plan.toml"
+) -> Prospect:
+    """Refuse what cannot work, before anything is opened or moves.
+
+    Raises
+    ------
+    ValueError
+        The plan leaves the soft limits; something is there and nobody asked to resume it; or it is
+        another scan.
+    NotAScan
+        Nothing to resume.
+    StorageFailed
+        The disk is too small, or may not be written.
+    """
+    check_plan(plan, station, plan_name)
+    kept: tuple[int, ...] = ()
+    missing = tuple(range(plan.ring.count))
+    if resume:
+        folder = ScanFolder.open(out)
+        _must_be_the_same(folder, station, plan)
+        # Damaged slices count as missing: the resume sets them aside and takes them again.
+        kept, missing = (found := folder.verify()).sound, found.missing
+    else:
+        _refuse_rest(out)
+    cost = _share(estimate(plan, station), len(missing))
+    free_bytes = _room(out, cost.bytes_at_most)
+    return Prospect(station, plan, out, resume, kept, missing, cost, free_bytes)
+
+
+def _refuse_rest(out: Path) -> None:
+    if (out / "scan.json").exists():
+        record = ScanFolder.open(out).record()
+        count = len(ScanFolder(out).indices())
+        raise ValueError(
+            f"{out}: holds a scan already, {count} of {len(record.indices)} slices"
+            f" ({record.state.value}); add --resume to take the rest, or name another --out"
+        )
+    if out.is_file():
+        raise ValueError(f"{out}: is a file; name another --out")
+    if out.is_dir() and (found := [each for each in out.iterdir() if each.name != ".lock"]):
+        raise ValueError(f"{out}: is there and holds {found[0].name}, no scan; name another --out")
+
+
+def _must_be_the_same(folder: ScanFolder, station: Station, plan: Plan) -> None:
+    record = folder.record()
+    before, now = dict(_leaves(as_table(record.plan))), dict(_leaves(as_table(plan)))
+    if changed := [key for key in now if before.get(key) != now[key]]:
+        raise ValueError(
+            f"{folder.path}: was begun with another plan: {changed[0]} was"
+            f" {before.get(changed[0])}, is {now[changed[0]]}; give the plan it was begun with, or"
+            " scan anew with another --out"
+        )
+    before, now = dict(_leaves(as_table(record.station))), dict(_leaves(as_table(station)))
+    for key in (*before, *now):
+        if key.startswith(_MEANING) and before.get(key) != now.get(key):
+            raise ValueError(
+                f"{folder.path}: was begun on a station that stood otherwise: {key} was"
+                f" {before.get(key)}, is {now.get(key)}; correct the station file, or scan anew"
+                " with another --out"
+            )
+
+
+def _leaves(table: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, object]]:
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{path}{key}.")
+        else:
+            yield f"{path}{key}", value
+
+
+def _share(whole: Estimate, slices: int) -> Estimate:
+    part = slices / whole.slices
+    return Estimate(
+        slices,
+        round(whole.profiles * part),
+        whole.seconds_at_least * part,
+        round(whole.bytes_at_most * part) + _RECORD_BYTES,
+    )
+
+
+def _room(out: Path, wanted_bytes: int) -> int:
+    place = next(each for each in (out.resolve(), *out.resolve().parents) if each.exists())
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise StorageFailed(
+            f"{out}: no permission to write in {place}; change it, or name another --out"
+        )
+    free_bytes = shutil.disk_usage(place).free
+    if wanted_bytes > free_bytes:
+        raise StorageFailed(
+            f"{out}: the scan needs up to {in_bytes(wanted_bytes)}, the disk has"
+            f" {in_bytes(free_bytes)} free; free some space, or name a folder on another disk as"
+            " --out"
+        )
+    return free_bytes
+
+
+def in_bytes(count: float) -> str:
+    """Write a size for a person, in powers of 1000."""
+    for unit in ("B", "kB", "MB", "GB"):
+        if count < 1000.0:
+            return f"{count:.3g} {unit}"
+        count /= 1000.0
+    return f"{count:.3g} TB"

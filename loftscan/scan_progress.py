@@ -1,0 +1,190 @@
+"""A scan, told while it runs: a line that is rewritten on a terminal, a line a slice elsewhere.
+
+With ``--json`` one object a line: ``estimate``, ``laser``, ``slice`` for every slice that is safe
+on the disk, and at last ``done`` or ``paused``.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import TextIO
+
+from acquisition.frames import Kinematics
+from acquisition.poses import Sweep
+from acquisition.scan import Progress, StopRequest, Wish
+from drivers.laser import Guarantee
+from loftscan.coverage import turn_coverage
+from loftscan.scan_folders import Prospect, in_bytes
+
+_WIDTH = 78
+
+
+class Manner(Enum):
+    """How it is told."""
+
+    JSON = "one object a line"
+    LINES = "a line a slice"
+    LIVE = "one line, rewritten"
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """How far a run is, and what that says of its end."""
+
+    seconds: float
+    slices_done: float  # of this run, the one under way as a fraction
+    slices: int
+
+    @property
+    def slices_per_min(self) -> float:
+        """Mean rate; 0 before anything is done."""
+        return 60.0 * self.slices_done / self.seconds if self.seconds > 0.0 else 0.0
+
+    @property
+    def left_s(self) -> float | None:
+        """Time left at that rate; None before there is one."""
+        rate = self.slices_per_min / 60.0
+        return (self.slices - self.slices_done) / rate if rate > 0.0 else None
+
+
+class ScanTeller:
+    """Tells of one run."""
+
+    def __init__(
+        self,
+        stream: TextIO,
+        manner: Manner,
+        kinematics: Kinematics,
+        stop: StopRequest,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._stream = stream
+        self._manner = manner
+        self._kinematics = kinematics
+        self._stop = stop
+        self._clock = clock
+        self._begun_s = clock()
+        self._coverage: float | None = None
+        self._last: Progress | None = None
+        self._line = ""
+
+    def estimate(self, here: Prospect) -> None:
+        """Say what the run will cost, before anything is opened."""
+        cost = here.cost
+        if self._manner is Manner.JSON:
+            self._say(
+                event="estimate", slices=cost.slices, kept=len(here.kept), profiles=cost.profiles,
+                seconds_at_least=round(cost.seconds_at_least, 1), bytes_at_most=cost.bytes_at_most,
+                free_bytes=here.free_bytes,
+            )  # fmt: skip
+            return
+        kept = f", {len(here.kept)} are kept already" if here.resumed else ""
+        self._print(
+            f"{here.out}: {cost.slices} slices{kept}, {cost.profiles} profiles, at least"
+            f" {in_time(cost.seconds_at_least)}, at most {in_bytes(cost.bytes_at_most)}"
+            f" ({in_bytes(here.free_bytes)} free)"
+        )
+
+    def laser(self, guarantee: Guarantee) -> None:
+        """Say who turns the laser off when this program is dead."""
+        if self._manner is Manner.JSON:
+            self._say(event="laser", watchdog_s=guarantee.watchdog_s, guarantee=guarantee.sentence)
+        else:
+            self._print(guarantee.sentence)
+
+    def stopped_at(self, progress: Progress) -> None:
+        """Take note of a stop of the table."""
+        self._last = progress
+        if self._manner is Manner.LIVE:
+            done = progress.slices_done + progress.stops_done / progress.stops
+            self._rewrite(
+                f"slice {progress.slices_done + 1} of {progress.slices},"
+                f" stop {progress.stops_done} of {progress.stops}"
+                + self._how(Pace(self._clock() - self._begun_s, done, progress.slices))
+            )
+
+    def kept(self, sweep: Sweep) -> None:
+        """Tell that a slice is safe on the disk."""
+        self._coverage = turn_coverage(sweep, self._kinematics)
+        last = self._last
+        if last is None:
+            return
+        done = last.slices_done + 1
+        pace = Pace(self._clock() - self._begun_s, done, last.slices)
+        if self._manner is Manner.JSON:
+            self._say(
+                event="slice", index=sweep.index, slices_done=done, slices=last.slices,
+                profiles=len(sweep.profiles), lost_profiles=last.lost_profiles,
+                coverage=round(self._coverage, 4), seconds=round(pace.seconds, 3),
+                slices_per_min=round(pace.slices_per_min, 2), left_s=round(pace.left_s or 0.0, 1),
+            )  # fmt: skip
+        elif self._manner is Manner.LINES:
+            self._print(f"slice {done} of {last.slices}{self._how(pace)}")
+
+    def done(self, here: Prospect) -> None:
+        """Tell that the scan is complete."""
+        seconds = self._clock() - self._begun_s
+        slices = here.plan.ring.count
+        if self._manner is Manner.JSON:
+            out = str(here.out)
+            self._say(event="done", out=out, slices=slices, seconds=round(seconds, 3))
+        else:
+            self._print(f"{here.out}: complete, {slices} slices; {in_time(seconds)}")
+
+    def paused(self, here: Prospect, kept: int) -> None:
+        """Tell that the run ended at a slice's border."""
+        if self._manner is Manner.JSON:
+            self._say(event="paused", out=str(here.out), kept=kept, slices=here.plan.ring.count)
+        self.end_line()
+
+    def note(self, text: str) -> None:
+        """Say something beside the progress."""
+        if self._manner is Manner.JSON:
+            self._say(event="note", text=text)
+        else:
+            self._print(text)
+
+    def end_line(self) -> None:
+        """Leave a rewritten line, so that what follows begins a line of its own."""
+        if self._line:
+            print(file=self._stream)
+            self._line = ""
+
+    def _how(self, pace: Pace) -> str:
+        parts = [f"{pace.slices_per_min:.1f} slices/min"]
+        if self._coverage is not None:
+            parts.append(f"coverage {self._coverage:.0%}")
+        if self._last is not None and self._last.lost_profiles:
+            parts.append(f"{self._last.lost_profiles} profiles lost")
+        if pace.left_s is not None:
+            parts.append(f"{in_time(pace.left_s)} left")
+        if self._stop.wish is Wish.PAUSE:
+            parts = ["pausing after this slice; Ctrl-C again stops now"]
+        return "".join(f", {part}" for part in parts)
+
+    def _rewrite(self, text: str) -> None:
+        padded = text[:_WIDTH].ljust(len(self._line))
+        print(f"\r{padded}", end="", file=self._stream, flush=True)
+        self._line = text[:_WIDTH]
+
+    def _print(self, text: str) -> None:
+        self.end_line()
+        print(text, file=self._stream, flush=True)
+
+    def _say(self, **fields: object) -> None:
+        print(json.dumps(fields), file=self._stream, flush=True)
+
+
+def in_time(seconds: float) -> str:
+    """Write a duration for a person."""
+    whole = round(seconds)
+    if whole < 90:
+        return f"{seconds:.1f} s" if seconds < 10.0 else f"{whole} s"
+    if whole < 90 * 60:
+        return f"{whole / 60:.0f} min"
+    return f"{whole // 3600} h {whole % 3600 // 60} min"

@@ -1,0 +1,135 @@
+"""The verb `simulate`: a simulated station in a process of its own, reached as hardware is.
+
+    >>> with simulate(part="vase") as simulated, Station.open(simulated) as station:
+    ...     station.home()
+
+The simulator ends with the block, and by itself when this program dies: it watches a pipe. It does
+not hear the terminal's Ctrl-C, which is for the program that uses it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+_START_S = 60.0  # the first start on a machine compiles
+_END_S = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """A simulated station that is live; a path of its station.toml by itself."""
+
+    station: Path
+    plan: Path  # that suits the part
+    truth: Path  # mesh of the part
+    witness: Path  # what truly happened, a line an event
+    pid: int
+
+    def __fspath__(self) -> str:
+        return str(self.station)
+
+    def __str__(self) -> str:
+        return str(self.station)
+
+
+@contextmanager
+def simulate(
+    part: str = "vase",
+    *,
+    seed: int | None = None,
+    scale: float | None = None,
+    cloud_width_mm: float | None = None,
+    outliers: float | None = None,
+    faults: str | Sequence[str] = (),
+    out: str | os.PathLike[str] | None = None,
+) -> Iterator[Simulated]:
+    """Serve a simulated station while the block lasts.
+
+    Parameters
+    ----------
+    part
+        A part by name, or a mesh file.
+    seed, scale, cloud_width_mm, outliers
+        Of the noise; how much faster than real time; of the optics: by default the simulator's.
+    faults
+        Planted faults by name, such as ``"no-profiles"``.
+    out
+        Where its files go; by default a folder that goes with the block.
+
+    Raises
+    ------
+    ValueError
+        The simulator does not know the part, or did not start; says what it said.
+    """
+    planted = faults if isinstance(faults, str) else ",".join(faults)
+    options = {
+        "--part": part, "--seed": seed, "--scale": scale, "--cloud-width-mm": cloud_width_mm,
+        "--outliers": outliers, "--faults": planted or None,
+    }  # fmt: skip
+    chosen = [each for name, value in options.items() if value is not None
+              for each in (name, str(value))]  # fmt: skip
+    with tempfile.TemporaryDirectory(prefix="loftscan-sim-") as own:
+        said = Path(own) / "said.txt"
+        with said.open("wb") as errors:
+            process = _started([*chosen, "--out", str(out or own)], errors)
+        with process:
+            try:
+                yield _told(process, said)
+            finally:
+                _end(process)
+
+
+def simulator_command(options: Sequence[str]) -> list[str]:
+    """Give the command line of the simulator; a ``sim`` in the current folder is not it."""
+    return [sys.executable, "-P", "-m", "sim", *options]
+
+
+def _started(options: Sequence[str], errors: IO[bytes]) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        simulator_command([*options, "--json", "--while-stdin-open"]),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=errors,  # a file: nobody empties a pipe while the station is in use
+        text=True,
+        start_new_session=True,
+    )
+
+
+def _told(process: subprocess.Popen[str], said: Path) -> Simulated:
+    """Wait for the line that says that all wires are listening."""
+    pipe = _pipe(process.stdout)
+    ready, _, _ = select.select([pipe], [], [], _START_S)
+    line = pipe.readline() if ready else ""
+    if not line:
+        process.kill()
+        lines = said.read_text(errors="replace").strip().splitlines()
+        raise ValueError(lines[-1] if lines else f"simulator: did not start in {_START_S:g} s")
+    told = json.loads(line)
+    station, plan, truth, witness = (
+        Path(told[name]) for name in ("station", "plan", "truth", "witness")
+    )
+    return Simulated(station, plan, truth, witness, int(told["pid"]))
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    _pipe(process.stdin).close()
+    try:
+        process.wait(_END_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+
+
+def _pipe(pipe: IO[str] | None) -> IO[str]:
+    if pipe is None:
+        raise ValueError("simulator: started without its pipes")
+    return pipe

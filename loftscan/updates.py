@@ -1,0 +1,68 @@
+"""What a reconstruction tells while slices come: sections, slices that gave none, the result."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from loftscan.result import Result
+from reconstruction.lofting import lay_rows, loft_run, split_runs
+from reconstruction.meshing import Mesh, mesh_rows
+from reconstruction.sections import Section
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """How far the work is."""
+
+    done: int  # slices that came, or never will
+    total: int | None  # of the plan, if it is known
+    coverage: float  # share of the turn in which the last slice has points
+    lag_s: float | None  # from the appearance of the slice's file to now, if it was waited for
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted:
+    """A slice became a section."""
+
+    section: Section
+    standing: Standing
+    sections: tuple[Section, ...]  # all so far, this one last
+
+    @property
+    def index(self) -> int:
+        """Of the slice."""
+        return self.section.index
+
+    def mesh(self) -> Mesh | None:
+        """The mesh of the sections so far, closed by a cap wherever they end; None for one section.
+
+        Made when it is asked for, in time that grows with the sections: not for every update of a
+        long scan.
+        """
+        if len(self.sections) < 2:
+            return None
+        runs = split_runs(self.sections)
+        rows = lay_rows(runs, [loft_run(run) for run in runs], intermediate=0)
+        return mesh_rows(rows, np.asarray(self.sections[0].frame.axes[:2]))
+
+
+@dataclass(frozen=True, slots=True)
+class Missed:
+    """A slice gave no section."""
+
+    index: int
+    points: int
+    why: str
+    standing: Standing
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Finished:
+    """Everything: the last update."""
+
+    result: Result
+
+
+Update = Fitted | Missed | Finished
