@@ -50,6 +50,8 @@ def simulate(
     scale: float | None = None,
     cloud_width_mm: float | None = None,
     outliers: float | None = None,
+    rings: int | None = None,
+    stops: int | None = None,
     faults: str | Sequence[str] = (),
     out: str | os.PathLike[str] | None = None,
 ) -> Iterator[Simulated]:
@@ -61,6 +63,8 @@ def simulate(
         A part by name, or a mesh file.
     seed, scale, cloud_width_mm, outliers
         Of the noise; how much faster than real time; of the optics: by default the simulator's.
+    rings, stops
+        Of the plan: how many rings, and how many stops of the table in each.
     faults
         Planted faults by name, such as ``"no-profiles"``.
     out
@@ -74,7 +78,7 @@ def simulate(
     planted = faults if isinstance(faults, str) else ",".join(faults)
     options = {
         "--part": part, "--seed": seed, "--scale": scale, "--cloud-width-mm": cloud_width_mm,
-        "--outliers": outliers, "--faults": planted or None,
+        "--outliers": outliers, "--rings": rings, "--stops": stops, "--faults": planted or None,
     }  # fmt: skip
     chosen = [each for name, value in options.items() if value is not None
               for each in (name, str(value))]  # fmt: skip

@@ -28,7 +28,7 @@ from reconstruction.errors import TooFewPoints
 from reconstruction.numbering import number_contour
 from reconstruction.nurbs import Curve, evaluate_curve, periodic_uniform
 from reconstruction.ordering import Contour, Walk, walk_contour
-from reconstruction.reduction import bounding_box, reduce_points
+from reconstruction.reduction import Box, bounding_box, reduce_points
 from reconstruction.reknotting import map_gaps, measure_lengths, reknot
 from reconstruction.resolution import Resolution, choose_resolution
 from reconstruction.sections import Section, Skipped, measure_residual
@@ -109,7 +109,7 @@ def draw_section(piece: Slice, settings: PaperSettings, base: Base | None) -> tu
         raise TooFewPoints(f"{len(piece.points_mm)} points, a section needs {_FEWEST_POINTS}")
     frame, planar = lay_plane(piece, settings.plane)
     up = piece.frame.axes[2]
-    thickness, resolution, contour = draw_contour(planar, settings)
+    thickness, resolution, contour = draw_contour(planar, settings, within=_known_box(piece, frame))
     reference_x = base.reference_x_mm if base else float(contour.points_mm[:, 0].mean())
     contour = number_contour(contour, reference_x_mm=reference_x)
     flat = draw_curve(contour)
@@ -163,11 +163,22 @@ def lay_plane(piece: Slice, rule: PlaneRule) -> tuple[Frame, FloatArray]:
     return frame, frame.to_plane(piece.points_mm)
 
 
+def _known_box(piece: Slice, frame: Frame) -> Box | None:
+    """The slice's box as the plane sees it, where axes only change places; else it is none."""
+    if piece.corners_mm is None or np.count_nonzero(frame.axes) != len(frame.axes):
+        return None
+    corners = frame.to_plane(piece.corners_mm)
+    return Box(corners.min(axis=0), corners.max(axis=0))
+
+
 def draw_contour(
-    planar_mm: FloatArray, settings: PaperSettings
+    planar_mm: FloatArray, settings: PaperSettings, *, within: Box | None = None
 ) -> tuple[Thickness, Resolution, Contour]:
-    """Reduce the points of a plane (n, 3) to centres of mass and order those of the contour."""
-    box = bounding_box(planar_mm)
+    """Reduce the points of a plane (n, 3) to centres of mass and order those of the contour.
+
+    Their bounding box, where it is known, saves one reading of all points.
+    """
+    box = within or bounding_box(planar_mm)
     thickness = estimate_thickness(planar_mm[:, :2])
     resolution = choose_resolution(
         thickness,

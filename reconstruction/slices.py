@@ -40,11 +40,23 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Slice:
-    """Measured points near one cutting plane, in the part frame; unordered, unreduced."""
+    """Measured points near one cutting plane, in the part frame; unordered, unreduced.
+
+    Whoever makes the points can note between which corners they lie while they pass by anyway:
+    then nobody has to read them again for it.
+    """
 
     index: int
     points_mm: FloatArray  # (n, 3)
     frame: Frame
+    corners_mm: FloatArray | None = None  # (2, 3) lowest and highest coordinates of the points
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points_mm", frozen(self.points_mm))
+        if self.corners_mm is not None:
+            object.__setattr__(self, "corners_mm", frozen(self.corners_mm))
+            if (
+                self.corners_mm.shape != (2, 3)
+                or not (self.corners_mm[0] <= self.corners_mm[1]).all()
+            ):
+                raise ValueError(f"slice {self.index}: corners {self.corners_mm.tolist()} of a box")

@@ -19,7 +19,7 @@ from numba import njit
 
 from reconstruction.arrays import FloatArray, IntArray, frozen
 from reconstruction.errors import TooFewPoints
-from reconstruction.reduction import Box
+from reconstruction.reduction import Box, bounding_box
 from reconstruction.setting_aside import Aside, Keep, find_part
 from reconstruction.slices import Frame, Slice
 from reconstruction.survey import Axis, Pass, Spacing, Survey, choose_spacing, survey_cloud
@@ -48,13 +48,13 @@ class Cutting:
         stops = np.cumsum(self.counts)
         for index, (stop, count) in enumerate(zip(stops, self.counts, strict=True)):
             points = self.pile.read(int(stop - count), int(stop))
-            yield Slice(index, points, self.frame(index))
+            yield Slice(index, points, self.frame(index), self.pile.corners(index))
 
     def slice_at(self, index: int) -> Slice:
         """One slice by its number."""
         start = int(self.counts[:index].sum())
         points = self.pile.read(start, start + int(self.counts[index]))
-        return Slice(index, points, self.frame(index))
+        return Slice(index, points, self.frame(index), self.pile.corners(index))
 
     def frame(self, index: int) -> Frame:
         """Frame of a slice: axes cyclic from the stacking axis, origin at its middle height."""
@@ -90,7 +90,7 @@ def cut_cloud(
     keep = find_part(inside, survey, axis)
     start, lowest, levels = _number_levels(inside, keep, spacing, axis)
     spacing = replace(start, middle_mm=start.middle_mm + lowest * start.step_mm)
-    pile = _Pile(int(levels.sum()))
+    pile = _Pile(int(levels.sum()), len(levels))
     aside_mm = _sort_into_pile(points, pile, keep, start, axis, lowest, levels, crop)
     box = pile.box
     aside = {reason: count for reason, (count, _) in aside_mm.items()}
@@ -209,7 +209,7 @@ def _sort_into_pile(
         sorted_mm = inside[order]
         for level in np.flatnonzero(np.diff(starts)):
             segment = sorted_mm[starts[level] : starts[level + 1]]
-            pile.write(int(cursors[level]), segment)
+            pile.write(int(level), int(cursors[level]), segment)
             cursors[level] += len(segment)
     return {reason: (some.count, some.points) for reason, some in aside.items()}
 
@@ -253,9 +253,8 @@ class _Remembered:
 class _Pile:
     """Points sorted by slice, in memory or in a temporary file that vanishes with the pile."""
 
-    def __init__(self, points: int) -> None:
-        self._low = np.full(3, np.inf)
-        self._high = np.full(3, -np.inf)
+    def __init__(self, points: int, levels: int) -> None:
+        self._corners = np.full((levels, 2, 3), [[[np.inf] * 3, [-np.inf] * 3]])
         self._memory: FloatArray | None = None
         self._file: BinaryIO | None = None
         if points <= _IN_MEMORY:
@@ -267,11 +266,18 @@ class _Pile:
 
     @property
     def box(self) -> Box:
-        return Box(self._low, self._high)
+        return Box(self._corners[:, 0].min(axis=0), self._corners[:, 1].max(axis=0))
 
-    def write(self, start: int, points: FloatArray) -> None:
-        self._low = np.minimum(self._low, points.min(axis=0))
-        self._high = np.maximum(self._high, points.max(axis=0))
+    def corners(self, level: int) -> FloatArray | None:
+        """Between which corners (2, 3) the points of a level lie; None where there are none."""
+        corners = self._corners[level]
+        return corners if corners[0, 0] <= corners[1, 0] else None
+
+    def write(self, level: int, start: int, points: FloatArray) -> None:
+        # Noted here, while the points are in the cache anyway: nobody reads them again for it.
+        box, corners = bounding_box(points), self._corners[level]
+        np.minimum(corners[0], box.low_mm, out=corners[0])
+        np.maximum(corners[1], box.high_mm, out=corners[1])
         if self._memory is not None:
             self._memory[start : start + len(points)] = points
         elif self._file is not None:

@@ -12,7 +12,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -21,7 +21,16 @@ from typing import NoReturn
 from sim.faults import FAULTS, parse_faults
 from sim.parts import PARTS, find_part
 from sim.serving import Ending, Server
-from sim.stations import Layout, build, connect, plan_toml, station_toml, truth_ply
+from sim.stations import (
+    PLAN_RINGS,
+    PLAN_STOPS,
+    Layout,
+    build,
+    connect,
+    plan_toml,
+    station_toml,
+    truth_ply,
+)
 from sim.witness import WitnessLog
 
 _DONE, _FAILED, _BAD_USAGE = 0, 1, 2
@@ -73,7 +82,8 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
         with Server(lively=devices.lively) as server:
             addresses = connect(devices, layout, faults, server, folder)
             files.truth.write_bytes(truth_ply(part))
-            files.plan.write_text(plan_toml(layout, part), encoding="utf-8")
+            plan = plan_toml(layout, part, rings=wanted.rings, stops=wanted.stops)
+            files.plan.write_text(plan, encoding="utf-8")
             files.station.write_text(station_toml(layout, addresses, part.name), encoding="utf-8")
             if wanted.while_stdin_open:
                 _end_with_stdin(server, ending)
@@ -112,6 +122,15 @@ def _listing() -> str:
     return f"parts: {', '.join(PARTS)}, or a mesh file\nfaults:\n{''.join(faults)}"
 
 
+def _count_from(least: int) -> Callable[[str], int]:
+    def count(text: str) -> int:
+        if not text.isdecimal() or int(text) < least:
+            raise argparse.ArgumentTypeError(f"{text!r}: a count of {least} or more is expected")
+        return int(text)
+
+    return count
+
+
 class _OneLineParser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         self.exit(_BAD_USAGE, f"{self.prog}: {message}; see --help\n")
@@ -126,6 +145,8 @@ def _parser() -> argparse.ArgumentParser:
     option("--scale", type=float, default=normal.time_scale, help="how much faster its time runs")
     option("--cloud-width-mm", type=float, default=normal.cloud_width_mm, help="of the noise")
     option("--outliers", type=float, default=normal.outlier_rate, help="share of the points")
+    option("--rings", type=_count_from(1), default=PLAN_RINGS, help="of plan.toml")
+    option("--stops", type=_count_from(3), default=PLAN_STOPS, help="of the table, in each ring")
     option("--faults", default="", metavar="NAME,NAME=N", help="what is wrong; --list names all")
     option("--out", type=Path, metavar="DIR", help="keeps the files; absent: gone at the end")
     option("--station", type=Path, metavar="FILE", help="for station.toml alone")

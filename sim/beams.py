@@ -47,7 +47,7 @@ def _meet(ends_mm: FloatArray, frames: FloatArray, slopes: FloatArray, met: Segm
         for segment in range(ends_mm.shape[0]):
             low, high = near[segment, 0], near[segment, 1]
             if not 0.0 < min(low, high) <= max(low, high) < _NEAREST:
-                _cut_off(ends_mm[segment], frames[profile], across[segment], near[segment])
+                _cut_off(segment, ends_mm, frames[profile], across, near)
         nearness[:] = 0.0
         _draw(across, near, slopes, nearness, met[profile])
 
@@ -55,8 +55,8 @@ def _meet(ends_mm: FloatArray, frames: FloatArray, slopes: FloatArray, met: Segm
 @njit(cache=True, nogil=True, error_model="numpy")
 def _turn(ends_mm: FloatArray, frame: FloatArray, across: FloatArray, near: FloatArray) -> None:
     """Write u = x/w and 1/w of every end."""
-    wx, wy, w0 = frame[0]
-    xx, xy, x0 = frame[1]
+    wx, wy, w0 = frame[0, 0], frame[0, 1], frame[0, 2]
+    xx, xy, x0 = frame[1, 0], frame[1, 1], frame[1, 2]
     for segment in range(ends_mm.shape[0]):
         for end in range(2):
             x, y = ends_mm[segment, end, 0], ends_mm[segment, end, 1]
@@ -65,10 +65,12 @@ def _turn(ends_mm: FloatArray, frame: FloatArray, across: FloatArray, near: Floa
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cut_off(ends_mm: FloatArray, frame: FloatArray, across: FloatArray, near: FloatArray) -> None:
-    """Write u and 1/w of what of one segment lies before the emitter: a point if nothing does."""
-    w1, w2 = frame[0, 2] + frame[0, 0] * ends_mm[:, 0] + frame[0, 1] * ends_mm[:, 1]
-    x1, x2 = frame[1, 2] + frame[1, 0] * ends_mm[:, 0] + frame[1, 1] * ends_mm[:, 1]
+def _cut_off(
+    segment: int, ends_mm: FloatArray, frame: FloatArray, across: FloatArray, near: FloatArray
+) -> None:
+    """Write u and 1/w of what of a segment lies before the emitter: a point if nothing does."""
+    w1, x1 = _turned(ends_mm[segment, 0, 0], ends_mm[segment, 0, 1], frame)
+    w2, x2 = _turned(ends_mm[segment, 1, 0], ends_mm[segment, 1, 1], frame)
     if max(w1, w2) <= _AHEAD_MM:
         w1, x1, w2, x2 = 1.0, 0.0, 1.0, 0.0
     if w1 < _AHEAD_MM:
@@ -77,7 +79,16 @@ def _cut_off(ends_mm: FloatArray, frame: FloatArray, across: FloatArray, near: F
     if w2 < _AHEAD_MM:
         x2 += (x1 - x2) * (_AHEAD_MM - w2) / (w1 - w2)
         w2 = _AHEAD_MM
-    across[0], near[0], across[1], near[1] = x1 / w1, 1.0 / w1, x2 / w2, 1.0 / w2
+    across[segment, 0], near[segment, 0] = x1 / w1, 1.0 / w1
+    across[segment, 1], near[segment, 1] = x2 / w2, 1.0 / w2
+
+
+@njit(cache=True, nogil=True)
+def _turned(x: float, y: float, frame: FloatArray) -> tuple[float, float]:
+    return (
+        frame[0, 0] * x + frame[0, 1] * y + frame[0, 2],
+        frame[1, 0] * x + frame[1, 1] * y + frame[1, 2],
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -60,8 +60,8 @@ def _return(
     ends_mm, normals, reflectance = section
     z_mm, lean, brightness, reasons = returns
     for profile in range(met.shape[0]):
-        wx, wy, w0 = frames[profile, 0]
-        xx, xy, x0 = frames[profile, 1]
+        wx, wy, w0 = frames[profile, 0, 0], frames[profile, 0, 1], frames[profile, 0, 2]
+        xx, xy, x0 = frames[profile, 1, 0], frames[profile, 1, 1], frames[profile, 1, 2]
         for beam in range(met.shape[1]):
             segment, u = met[profile, beam], slopes[beam]
             if segment < 0:

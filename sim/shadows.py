@@ -63,9 +63,9 @@ def hide(
             asked = reasons[profile, beam] == _LIT and start_mm[profile, beam] > 0.0
             steep[beam] = abs(camera[1]) / start_mm[profile, beam] if asked else np.nan
         _sum_up(steep, runs)
-        wx, wy, w0 = frames[profile, 0]
-        xx, xy, x0 = frames[profile, 1]
-        _descend(tree, (wx, wy, w0, xx, xy, x0), slopes, camera, steep, runs)
+        w = frames[profile, 0, 0], frames[profile, 0, 1], frames[profile, 0, 2]
+        x = frames[profile, 1, 0], frames[profile, 1, 1], frames[profile, 1, 2]
+        _descend(tree, (*w, *x), slopes, camera, steep, runs)
         for beam in range(count):
             if steep[beam] == _HIDDEN:
                 reasons[profile, beam] = _OCCLUDED
@@ -74,10 +74,11 @@ def hide(
 @njit(cache=True, nogil=True)
 def _sum_up(steep: FloatArray, runs: FloatArray) -> None:
     """Lowest and highest q of each run of beams, of those that are asked."""
-    runs[:, 0], runs[:, 1] = np.inf, -np.inf
     for beam in range(steep.shape[0]):
+        run = beam // _BEAMS_A_RUN
+        if beam % _BEAMS_A_RUN == 0:
+            runs[run, 0], runs[run, 1] = np.inf, -np.inf
         if not math.isnan(steep[beam]):
-            run = beam // _BEAMS_A_RUN
             runs[run, 0] = min(runs[run, 0], steep[beam])
             runs[run, 1] = max(runs[run, 1], steep[beam])
 

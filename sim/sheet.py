@@ -80,13 +80,13 @@ def _cut(
         a = _corner(vertices_mm, faces[face, 0], height_mm)
         b = _corner(vertices_mm, faces[face, 1], height_mm)
         c = _corner(vertices_mm, faces[face, 2], height_mm)
-        normals[count] = _normal(a, b, c)
+        normals[count, 0], normals[count, 1] = _normal(a, b, c)
         if (a[2] > 0.0) == (b[2] > 0.0):  # a comes first: the corner that is alone on its side
             a, b, c = c, a, b
         elif (a[2] > 0.0) == (c[2] > 0.0):
             a, b, c = b, c, a
-        ends_mm[count, 0] = _end(a, b)
-        ends_mm[count, 1] = _end(a, c)
+        ends_mm[count, 0, 0], ends_mm[count, 0, 1] = _end(a, b)
+        ends_mm[count, 1, 0], ends_mm[count, 1, 1] = _end(a, c)
         found[count] = face
         count += 1
     return count

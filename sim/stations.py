@@ -27,7 +27,7 @@ from sim.modbus import RtuServer, TcpSession
 from sim.motion import AxisMotion, Limits, Play
 from sim.optics import OpticalBench, OpticsSettings
 from sim.relay import RelayBlock, RelaySettings
-from sim.sensor import Flaws, Mounting, SeedKey, Sensor
+from sim.sensor import Flaws, Mounting, Sensor
 from sim.serving import Server
 from sim.solids import Part
 from sim.wires import Pty, TcpListener, UdpSender
@@ -41,7 +41,7 @@ _PULSES_PER_TURN = 10_000
 _SCREW_LEAD_MM = 5.0
 _DEVICE_ID = 1
 _CLEAR_OF_SWITCH_MM = 2.0
-_PLAN_RINGS, _PLAN_STOPS = 40, 12
+PLAN_RINGS, PLAN_STOPS = 40, 12
 _SOUND = Faults()
 
 
@@ -112,25 +112,6 @@ class Devices:
         return world.laser_on or not (world.table.stands(now_s) and world.stage.stands(now_s))
 
 
-class Foresight:
-    """Cuts the part where the stage has come to stand, before the laser is on.
-
-    It takes as long as fifty profiles, and with the laser on no wire must wait for it.
-    """
-
-    def __init__(self, world: World) -> None:
-        self._world = world
-        self._cut_mm: float | None = None
-
-    def tick(self, now_s: float) -> None:
-        """Look at a new height once; any angle does."""
-        world = self._world
-        stage_mm = world.stage.load(now_s)
-        if stage_mm != self._cut_mm and world.stage.stands(now_s) and not world.laser_on:
-            self._cut_mm = stage_mm
-            world.bench.profile(0.0, stage_mm, SeedKey(0, 0))
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Addresses:
     """Where the devices are reached, as station.toml says it."""
@@ -180,9 +161,6 @@ def connect(
     OSError
         A port is taken.
     """
-    foresight = Foresight(devices.world)
-    foresight.tick(devices.world.pace.origin_s)  # before anybody waits
-    server.tell_time(foresight.tick)
     table, stage = Pty(folder / "table"), Pty(folder / "stage")
     server.serve_pty(table, _on_serial_line(devices.table, Speaker.TABLE, faults))
     drives = RtuServer({_DEVICE_ID: devices.stage})
@@ -229,7 +207,7 @@ def station_toml(layout: Layout, addresses: Addresses, part_name: str) -> str:
 
 
 def plan_toml(
-    layout: Layout, part: Part, *, rings: int = _PLAN_RINGS, stops: int = _PLAN_STOPS
+    layout: Layout, part: Part, *, rings: int = PLAN_RINGS, stops: int = PLAN_STOPS
 ) -> str:
     """Write a plan.toml whose rings lie equidistant from a part's foot to its top."""
     height_mm = float(part.vertices_mm[:, 2].max())

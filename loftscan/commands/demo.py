@@ -29,7 +29,8 @@ def demo(
     seed: Annotated[int, typer.Option(help="Of the noise.", min=0)] = 20,
     scale: Annotated[
         float, typer.Option(help="How much faster than real time the station moves.", min=0.01)
-    ] = 1.0,
+    ] = 10.0,
+    rings: Annotated[int, typer.Option(help="Slices to scan, foot to top.", min=2)] = 40,
     overwrite: Overwrite = False,
     json_lines: JsonLines = False,
     debug: Debug = False,
@@ -51,7 +52,7 @@ def demo(
                 print(f"scanning {part} on a simulated station, into {kept}", flush=True)
             with (
                 CadWriter(wanted) as cad,
-                simulate(part, seed=seed, scale=scale) as station,
+                simulate(part, seed=seed, scale=scale, rings=rings) as station,
                 scanning(station, kept) as scan,
             ):
                 result = _followed(

@@ -713,8 +713,11 @@ def test_after_the_warm_up_a_slice_compiles_nothing() -> None:
     code = """
 import sys
 import numpy as np
+from numba.core.registry import CPUDispatcher
 from loftscan.gathering import Intake, coverage
 from loftscan.scans import Arrival
+from loftscan.warming import warm_up
+from reconstruction.paper import PaperSettings, draw_section
 from tests.loftscan.test_following import ring_slice, with_strays
 
 def compiled():
@@ -730,7 +733,7 @@ for index in range(3):
     piece = intake.take(Arrival(with_strays(ring_slice(index)), np.zeros(6, int)))
     coverage(piece)
     _, base = draw_section(piece, PaperSettings(), base)
-assert len(intake.gathered().aside_mm) > 0
+assert sum(intake.gathered().aside.values()) == 6
 print(before, compiled())
 """
     ran = subprocess.run(

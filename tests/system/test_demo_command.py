@@ -1,54 +1,79 @@
-"""`loftscan demo`: what somebody types first."""
+"""`loftscan demo`: what somebody types first; here with few rings and a station in a hurry."""
 
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from loftscan.demo import HEIGHT_MM, make_cloud, vase_radius_mm
+from acquisition.scan_record import State
+from acquisition.scanfile import ScanFolder
 from tests.system.command_cases import RESULT_FILES, contents, run, succeeded
 
+QUICK = ("--rings", "6", "--scale", "40")
 
-def vase_volume_mm3() -> float:
-    """By the formula of the vase, integrated over angle and height."""
-    angle, height = np.meshgrid(
-        np.arange(720) * (math.tau / 720), (np.arange(900) + 0.5) * HEIGHT_MM / 900
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
+    """One demo for the tests that only look at it: its folder and what it said."""
+    place = tmp_path_factory.mktemp("demo")
+    ran = succeeded(
+        run("demo", "--part", "cylinder", *QUICK, "--out", str(place / "out"), "--json")
     )
-    return float((vase_radius_mm(angle, height) ** 2).mean() * math.pi * HEIGHT_MM)
+    return place, ran.stdout.splitlines()
 
 
-def test_the_demo_makes_a_whole_result_of_a_vase_close_to_its_formula(place: Path) -> None:
-    ran = succeeded(run("demo"))
-    assert ran.stdout.splitlines()[-1] == "report: demo-out/report.html"
-    assert set(contents(place / "demo-out")) == RESULT_FILES
-    told = json.loads((place / "demo-out/metrics.json").read_text())
+def events(lines: list[str], kind: str) -> list[dict[str, float]]:
+    told = [json.loads(line) for line in lines if line.startswith("{")]
+    return [each for each in told if each["event"] == kind]
+
+
+def test_the_demo_scans_over_wires_and_makes_a_whole_result(
+    made: tuple[Path, list[str]],
+) -> None:
+    place, _ = made
+    assert set(contents(place / "out")) == RESULT_FILES
+    told = json.loads((place / "out/metrics.json").read_text())
     assert told["watertight"] is True
-    assert told["slices"] == told["sections"] == 91
-    assert told["volume_mm3"] == pytest.approx(vase_volume_mm3(), rel=0.01)
-    # 4 sigma of the noise; the gaps that it was given are seen as such.
-    assert told["thickness_mm"] == pytest.approx(0.6, rel=0.1)
-    assert 0.01 < told["gap_fraction"] < 0.05
-    assert told["points_set_aside_by_reason"]["stray"] > 0
-    assert told["residual_rms_mm"] < 0.16
+    assert told["slices"] == told["sections"] == 6
 
 
-def test_a_seed_is_a_cloud() -> None:
-    assert make_cloud(3).tobytes() == make_cloud(3).tobytes()
-    assert make_cloud(3).shape != make_cloud(4).shape
+def test_the_scan_is_kept_beside_the_result_and_is_complete(
+    made: tuple[Path, list[str]],
+) -> None:
+    place, _ = made
+    folder = ScanFolder.open(place / "out.scan")
+    assert folder.record().state is State.COMPLETE
+    assert folder.verify().missing == ()
 
 
-def test_the_cloud_is_noisy_and_gappy_as_promised() -> None:
-    cloud = make_cloud()
-    radius, angle = np.hypot(*cloud[:, :2].T), np.arctan2(cloud[:, 1], cloud[:, 0])
-    part = radius < 50.0
-    off = radius[part] - vase_radius_mm(angle[part], cloud[part, 2])
-    assert off.std() == pytest.approx(0.15, rel=0.02)
-    shadow = part & (np.abs(angle - 1.0) < 0.17) & (np.abs(cloud[:, 2] - 50.0) < 19.0)
-    assert not shadow.any()
+def test_sections_are_fitted_while_the_scan_goes_on(made: tuple[Path, list[str]]) -> None:
+    _, said = made
+    sections = events(said, "section")
+    assert [each["index"] for each in sections] == list(range(6))
+    (lag,) = events(said, "lag")
+    assert lag["median_s"] is not None
+    # Half the slices or more were waited for, else nothing was live.
+    assert sum(each["lag_s"] is not None for each in sections) >= 3
+
+
+def test_the_simulator_says_how_far_the_walls_are_from_the_true_part(
+    made: tuple[Path, list[str]],
+) -> None:
+    _, said = made
+    (truth,) = events(said, "truth")
+    # A cylinder of 40 mm under a cloud of 0.1 mm (4 sigma): far within the cloud.
+    assert truth["rms_mm"] < 0.05
+    assert abs(truth["mean_mm"]) < 0.02
+    assert truth["points"] >= 1000
+
+
+def test_a_second_demo_is_refused_unless_it_may_overwrite(made: tuple[Path, list[str]]) -> None:
+    place, _ = made
+    ran = run("demo", "--part", "cylinder", *QUICK, "--out", str(place / "out"))
+    assert ran.exit_code == 2
+    assert "--overwrite" in ran.stderr
 
 
 def test_the_demo_refuses_to_replace_what_it_did_not_make(place: Path) -> None:
@@ -57,3 +82,23 @@ def test_the_demo_refuses_to_replace_what_it_did_not_make(place: Path) -> None:
     for options in ([], ["--overwrite"]):
         assert run("demo", *options).exit_code == 2
     assert (place / "demo-out/thesis.txt").read_text() == "years of work"
+
+
+def test_the_demo_refuses_to_replace_a_folder_that_is_no_scan(place: Path) -> None:
+    (place / "demo-out.scan").mkdir()
+    (place / "demo-out.scan/thesis.txt").write_text("years of work")
+    for options in ([], ["--overwrite"]):
+        ran = run("demo", *options)
+        assert ran.exit_code == 2
+        assert "demo-out.scan" in ran.stderr
+    assert (place / "demo-out.scan/thesis.txt").read_text() == "years of work"
+
+
+def test_a_part_that_nobody_knows_is_one_line_that_names_those_that_are_known(
+    place: Path,
+) -> None:
+    ran = run("demo", "--part", "teapot")
+    assert ran.exit_code == 2
+    assert "built-in parts are" in ran.stderr
+    assert len(ran.stderr.strip().splitlines()) == 1
+    assert not (place / "demo-out").exists()
