@@ -179,7 +179,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m sim.judging", description=__doc__)
     parser.add_argument("mesh", type=Path, help="the result's mesh, in mm")
     parser.add_argument("--part", required=True, help="name of a part, or its mesh file")
-    parser.add_argument("--samples", type=int, default=20_000)
+    parser.add_argument("--samples", type=int, default=8_000)
     wanted = parser.parse_args(arguments)
     try:
         part = find_part(wanted.part)

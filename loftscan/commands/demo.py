@@ -62,6 +62,10 @@ def demo(
             told = judge(part, out / "mesh.stl")
         except ScanFailed as failed:
             fail(failed.code, str(failed))
+        except KeyboardInterrupt:
+            if not (kept / "scan.json").exists():
+                raise
+            fail(3, f"stopped by the operator; the slices so far are kept in {kept}")
         tell(result, out, json_lines=json_lines)
         _tell_truth(told, result, slice_period_s(kept), json_lines=json_lines)
 

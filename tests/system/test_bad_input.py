@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from acquisition.scan_record import State
+from acquisition.scanfile import ScanFolder
 from tests.conftest import Saved
 from tests.system.command_cases import (
     FloatArray,
@@ -410,15 +412,19 @@ def test_who_stops_the_work_gets_code_3_and_nothing_is_left(
 
 
 def test_a_real_interrupt_ends_the_real_program_with_code_3(place: Path) -> None:
-    child = start("demo", "--out", "o", "--json", cwd=place)
+    child = start("demo", "--out", "o", "--json", "--scale", "40", cwd=place)
     assert child.stdout is not None
-    while '"sections"' not in child.stdout.readline():
+    while '"event": "section"' not in child.stdout.readline():
         assert child.poll() is None
     child.send_signal(signal.SIGINT)
     _, stderr = child.communicate(timeout=60)
     assert child.returncode == 3
-    assert stderr == "loftscan: stopped by the operator; nothing was written\n"
-    assert contents(place) == {"temporary": None}
+    assert stderr == "loftscan: stopped by the operator; the slices so far are kept in o.scan\n"
+    assert not (place / "o").exists()
+    kept = ScanFolder.open(place / "o.scan")
+    assert kept.record().state is State.ABORTED
+    assert kept.verify().sound
+    assert kept.verify().damaged == ()
 
 
 def test_want_of_memory_is_said_with_the_remedy(

@@ -1,0 +1,422 @@
+"""What an operator reads when something is wrong, each fault on the real wires.
+
+One line that says what to do, the right exit code, and nothing lost that was told to be kept. The
+lines are those of docs/messages.md, numbers and names aside; the page has no line that is not said.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from acquisition.plan import Plan, StepAndShoot, ring, write_plan
+from acquisition.poses import Sweep
+from acquisition.scanfile import ScanFolder
+from acquisition.station import read_station
+from drivers.profiler import Reason
+from loftscan import Station, simulate
+from loftscan.simulation import Simulated
+from tests.loftscan.made_scans import damage, write_scan
+from tests.system.command_cases import run, start, succeeded
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+PAGE = (REPOSITORY / "docs/messages.md").read_text(encoding="utf-8")
+SEED, SCALE = 3, 20.0
+PATIENCE_S = 60.0  # for a machine that does a lot else
+
+# -- the page --------------------------------------------------------------------------------------
+
+ENTRIES = {
+    title: (words, int(code))
+    for title, words, code in re.findall(
+        r"^### (.+)\n\n> (.+)\n\nExit code (\d)\. ", PAGE, re.MULTILINE
+    )
+}
+FOLLOWING = re.findall(r"^- `(.+)`$", PAGE.partition("## What may follow")[2], re.MULTILINE)
+_VARIES = (
+    (r"(?:serial|tcp|udp)://[^\s;()]*[^\s;():,]", "ADDRESS"),
+    (r"[\w./-]*\.(?:toml|scan|npz)(?:\.damaged)?\b", "FILE"),
+    (r"process \d+ \(.*\);", "process N (COMMAND);"),
+    (r"tries \(.*?\): press", "tries (REASON): press"),
+    (r"\([^()]*\bErrno [^()]*\)", "(REASON)"),
+    (r"\b0x[0-9a-fA-F]+", "0xN"),
+    (r"(?<![\w])\d+(?:\.\d+)?(?![\w.])", "N"),
+)
+
+
+def plain(line: str) -> str:
+    """A line without what differs from run to run."""
+    for pattern, name in _VARIES:
+        line = re.sub(pattern, name, line)
+    return line
+
+
+def assert_told(line: str, code: int, *titles: str) -> None:
+    """The line is that of one of these titles, with what may follow, and so is the exit code."""
+    rest = plain(line)
+    said = [title for title in titles if rest.startswith(ENTRIES[title][0])]
+    assert said, rest
+    words, due = ENTRIES[said[0]]
+    assert code == due
+    rest = rest.removeprefix(words)
+    known = sorted([*FOLLOWING, *(words for words, _ in ENTRIES.values())], key=len, reverse=True)
+    while rest:
+        after = next((each for each in known if rest.startswith(f"; {each}")), None)
+        assert after is not None, rest
+        rest = rest.removeprefix(f"; {after}")
+
+
+def test_every_message_of_the_page_is_said_in_a_test() -> None:
+    assert len(ENTRIES) == PAGE.count("\n### ")
+    assert len(FOLLOWING) >= 3
+    tests = Path(__file__).read_text(encoding="utf-8")
+    assert [title for title in ENTRIES if f'"{title}"' not in tests] == []
+
+
+# -- scans -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a scan ended: its exit code, its one line, and the slices that it told to be kept."""
+
+    code: int
+    line: str
+    told: tuple[int, ...]
+
+
+@pytest.fixture(scope="module")
+def station() -> Iterator[Simulated]:
+    with simulate(seed=SEED, scale=SCALE) as simulated:
+        yield simulated
+
+
+@pytest.fixture(scope="module")
+def sound(station: Simulated, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The scan as it is without a fault."""
+    place = tmp_path_factory.mktemp("sound")
+    write_rings(place / "plan.toml", 2)
+    out = place / "part.scan"
+    succeeded(run("scan", station, place / "plan.toml", "--out", out))
+    return out
+
+
+@pytest.fixture
+def plan(place: Path) -> str:
+    """Two rings of three stops in the lower part of the vase, 10 and 12 mm up the stage."""
+    write_rings(place / "plan.toml", 2)
+    return "plan.toml"
+
+
+def write_rings(file: Path, count: int) -> None:
+    rings = ring(10.0, 10.0 + 2.0 * (count - 1), 2.0, 3).ring
+    file.write_text(write_plan(Plan(ring=rings, step_and_shoot=StepAndShoot(settle_s=0.0))))
+
+
+def scan(station: object, plan: str, *options: object) -> Ended:
+    ran = run("scan", station, plan, "--out", "part.scan", "--json", *options)
+    assert isinstance(ran.exception, SystemExit | None), repr(ran.exception)
+    return ended(ran.exit_code, ran.stdout, ran.stderr)
+
+
+def ended(code: int, stdout: str, stderr: str) -> Ended:
+    assert stderr.count("\n") == (code != 0), stderr
+    assert "Traceback" not in stderr
+    events = map(json.loads, stdout.splitlines())
+    told = tuple(event["index"] for event in events if event["event"] == "slice")
+    return Ended(code, stderr.removeprefix("loftscan: ").rstrip("\n"), told)
+
+
+def assert_nothing_lost(end: Ended, out: str = "part.scan") -> None:
+    found = ScanFolder.open(Path(out)).verify()
+    assert found.damaged == ()
+    assert set(end.told) <= set(found.sound)
+    assert f"{len(found.sound)} of " in end.line
+    assert "slices are kept, go on with: loftscan scan" in end.line
+
+
+def assert_dark(station: Simulated) -> None:
+    """The laser is off, and was on at no time but for an exposure."""
+    events = map(json.loads, station.witness.read_text().splitlines())
+    assert not any(event["on"] for event in [e for e in events if e["what"] == "laser"][-1:])
+
+
+def assert_same_measurement(sweep: Sweep, other: Sweep) -> None:
+    """The same points at the same poses, but for points that are marked as lost."""
+    assert [(each.table_rad, each.stage_mm) for each in sweep.poses] == [
+        (each.table_rad, each.stage_mm) for each in other.poses
+    ]
+    for one, two in zip(sweep.profiles, other.profiles, strict=True):
+        there = one.reasons != Reason.LOST
+        for name in ("counts", "reasons", "intensity"):
+            np.testing.assert_array_equal(getattr(one, name)[there], getattr(two, name)[there])
+
+
+def changed(station: Simulated, old: str, new: str) -> str:
+    """A station file like the live one, one text of it replaced."""
+    before = station.station.read_text()
+    text = re.sub(old, new, before)
+    assert text != before
+    Path("changed.toml").write_text(text)
+    return "changed.toml"
+
+
+@contextmanager
+def scanning(station: Simulated, out: str, rings: int) -> Iterator[subprocess.Popen[str]]:
+    """A scan in a process of its own, when its first slice is told to be kept."""
+    write_rings(Path("long.toml"), rings)
+    child = start("scan", station, "long.toml", "--out", out, "--json")
+    try:
+        assert child.stdout is not None
+        while '"slice"' not in (line := child.stdout.readline()):
+            assert line, child.communicate()
+        yield child
+    finally:
+        child.kill()
+        child.communicate()
+
+
+def end_of(child: subprocess.Popen[str]) -> Ended:
+    stdout, stderr = child.communicate(timeout=PATIENCE_S)
+    end = ended(child.returncode, stdout, stderr)
+    return Ended(end.code, end.line, (0, *end.told))
+
+
+# -- devices ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("device", "title"),
+    [
+        ("table", "The table does not answer"),
+        ("stage", "The stage does not answer"),
+        ("profiler", "The profiler does not answer"),
+        ("relay", "The laser's switch does not answer"),
+    ],
+)
+def test_a_device_that_does_not_answer(place: Path, plan: str, device: str, title: str) -> None:
+    with simulate(seed=SEED, scale=SCALE, faults=f"silent-{device}") as station:
+        end = scan(station, plan)
+        assert_told(end.line, end.code, title)
+        assert not Path("part.scan").exists()
+        assert_dark(station)
+
+
+def test_a_port_that_does_not_exist(station: Simulated, place: Path, plan: str) -> None:
+    end = scan(changed(station, r"serial://\S+/stage\?", "serial:///dev/nowhere?"), plan)
+    assert_told(end.line, end.code, "There is no such port")
+    assert "/dev/nowhere" in end.line
+    assert not Path("part.scan").exists()
+
+
+def test_an_address_where_nobody_listens(station: Simulated, place: Path, plan: str) -> None:
+    address = read_station(station.station).profiler.address
+    end = scan(changed(station, re.escape(address), "tcp://127.0.0.1:1"), plan)
+    assert_told(end.line, end.code, "Nobody listens at an address")
+    assert "tcp://127.0.0.1:1" in end.line
+
+
+HOLD = """
+import sys
+from drivers.links import open_link
+link = open_link(sys.argv[1])
+print("held", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_a_port_that_another_process_holds(station: Simulated, place: Path, plan: str) -> None:
+    address = read_station(station.station).stage.address
+    words = [sys.executable, "-c", HOLD, address]
+    with subprocess.Popen(
+        words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == "held\n"
+        end = scan(station, plan)
+        holder.communicate("", timeout=PATIENCE_S)
+    assert_told(end.line, end.code, "Another program holds the port")
+    assert f"held by process {holder.pid} (" in end.line
+    assert not Path("part.scan").exists()
+
+
+def test_a_profiler_that_sends_nothing(place: Path, plan: str) -> None:
+    with simulate(seed=SEED, scale=SCALE, faults="no-profiles") as station:
+        end = scan(station, plan)
+        assert_told(end.line, end.code, "The profiler sends nothing")
+        assert_nothing_lost(end)
+        assert_dark(station)
+
+
+def test_one_dropped_block_in_fifty_is_counted_and_spoils_nothing(
+    place: Path, plan: str, sound: Path
+) -> None:
+    with simulate(seed=SEED, scale=SCALE, faults="drop-blocks=50") as simulated:
+        end = scan(simulated, plan)
+        assert (end.code, end.told) == (0, (0, 1))
+        with Station.open(simulated) as station:
+            station.home()
+            profiler, deadline_s = station.devices.profiler, time.monotonic() + PATIENCE_S
+            with station.lit() as look:
+                while not profiler.tally().torn_blocks:
+                    assert time.monotonic() < deadline_s
+                    look()
+    for index in end.told:
+        sweep, other = (ScanFolder(each).read(index) for each in (Path("part.scan"), sound))
+        assert_same_measurement(sweep, other)
+
+
+def test_a_stage_that_stalls(place: Path, plan: str) -> None:
+    with simulate(seed=SEED, scale=SCALE, faults="stall-stage=11") as station:
+        end = scan(station, plan)
+        assert_told(end.line, end.code, "The stage is held")
+        assert end.told == (0,)
+        assert_nothing_lost(end)
+        assert_dark(station)
+
+
+def test_a_simulator_that_is_killed_amid_a_scan(place: Path) -> None:
+    with simulate(seed=SEED, scale=SCALE) as station, scanning(station, "part.scan", 6) as child:
+        os.kill(station.pid, signal.SIGKILL)
+        end = end_of(child)
+    assert_told(end.line, end.code, "A serial port vanishes", "A connection breaks")
+    assert_nothing_lost(end)
+
+
+def test_a_line_of_nothing_but_damage(place: Path, plan: str) -> None:
+    with simulate(seed=SEED, scale=SCALE, faults="garbage=1") as station:
+        end = scan(station, plan)
+        assert_told(end.line, end.code, "A serial line carries nonsense")
+        assert not Path("part.scan").exists()
+        assert_dark(station)
+
+
+def test_some_garbage_on_the_wire_is_never_a_wrong_measurement(
+    place: Path, plan: str, sound: Path
+) -> None:
+    with simulate(seed=SEED, scale=SCALE, faults="garbage=9") as station:
+        end = scan(station, plan)
+        assert_dark(station)
+    # Which answer is hit depends on how often was asked: a move whose answer is may be refused.
+    assert (end.code, end.told) == (0, (0, 1)) or end.code == 4, end
+    for index in end.told:
+        sweep, other = (ScanFolder(each).read(index) for each in (Path("part.scan"), sound))
+        assert_same_measurement(sweep, other)
+
+
+# -- plans and disks -------------------------------------------------------------------------------
+
+
+def test_a_soft_limit_in_the_plan(station: Simulated, place: Path) -> None:
+    write_rings(Path("high.toml"), 200)
+    before = station.witness.read_bytes()
+    end = scan(station, "high.toml")
+    assert_told(end.line, end.code, "The plan leaves the soft limits")
+    assert station.witness.read_bytes() == before
+    assert not Path("part.scan").exists()
+
+
+def test_a_folder_that_holds_a_scan(station: Simulated, place: Path, plan: str, sound: Path):
+    shutil.copytree(sound, "part.scan")
+    end = scan(station, plan)
+    assert_told(end.line, end.code, "There is a scan already")
+
+
+def test_a_limit_on_file_sizes_amid_a_scan(station: Simulated, place: Path) -> None:
+    with scanning(station, "part.scan", 6) as child:
+        # Above what scan.json needs, below what a slice does.
+        resource.prlimit(child.pid, resource.RLIMIT_FSIZE, (8000, resource.RLIM_INFINITY))
+        end = end_of(child)
+    assert_told(end.line, end.code, "A limit on file sizes is reached")
+    assert_nothing_lost(end)
+    assert_dark(station)
+
+
+@pytest.fixture
+def small_disk(place: Path) -> Iterator[Path]:
+    """A file system with room for a scan, and little more."""
+    (place / "disk").mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", "disk"]
+    if not shutil.which("mount") or subprocess.run(command, check=False).returncode:
+        pytest.skip("a small file system cannot be mounted here")
+    yield place / "disk"
+    subprocess.run(["umount", str(place / "disk")], check=True)
+
+
+def test_a_disk_that_is_full_amid_a_scan(station: Simulated, small_disk: Path) -> None:
+    with scanning(station, "disk/part.scan", 6) as child:
+        with (small_disk / "other").open("wb", buffering=0) as other, pytest.raises(OSError):
+            while True:
+                other.write(bytes(4096))
+        end = end_of(child)
+    assert_told(end.line, end.code, "The disk is full")
+    assert_nothing_lost(end, "disk/part.scan")
+    assert_dark(station)
+
+
+def test_a_disk_that_is_too_small_for_the_scan(
+    station: Simulated, place: Path, plan: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("shutil.disk_usage", lambda _: shutil._ntuple_diskusage(10**6, 0, 10_000))
+    end = scan(station, plan)
+    assert_told(end.line, end.code, "The scan does not fit the disk")
+    assert not Path("part.scan").exists()
+
+
+def test_a_damaged_slice_is_set_aside_by_a_resume_which_takes_it_again(
+    station: Simulated, place: Path, plan: str, sound: Path
+) -> None:
+    shutil.copytree(sound, "part.scan")
+    damage(Path("part.scan"), 1)
+    folder = ScanFolder.open(Path("part.scan"))
+    (found,) = folder.verify().damaged
+    assert found.file.name == "000001.npz"
+    ran = run("scan", station, plan, "--out", "part.scan", "--resume")
+    (note,) = [line for line in ran.stdout.splitlines() if "set aside" in line]
+    assert_told(note, ran.exit_code, "A damaged slice is taken again")
+    assert Path("part.scan/slices/000001.npz.damaged").is_file()
+    for index in (0, 1):
+        assert_same_measurement(folder.read(index), ScanFolder(sound).read(index))
+
+
+def test_a_damaged_slice_is_left_out_by_a_reconstruction(
+    place: Path, without_pictures: None
+) -> None:
+    write_scan(place / "vase.scan")
+    damage(place / "vase.scan", 6)
+    ran = run("reconstruct", "vase.scan", "--out", "o", "--formats", "stl")
+    (warning,) = ran.stderr.splitlines()
+    assert_told(warning, ran.exit_code, "A damaged slice is left out")
+
+
+# -- the operator ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("signals", "title"),
+    [([signal.SIGINT], "You paused the scan"), ([signal.SIGTERM], "You stopped the scan")],
+)
+def test_an_operator_who_has_enough(
+    station: Simulated, place: Path, signals: list[signal.Signals], title: str
+) -> None:
+    with scanning(station, "part.scan", 6) as child:
+        for number in signals:
+            child.send_signal(number)
+        end = end_of(child)
+    assert_told(end.line, end.code, title)
+    assert_dark(station)
+    assert set(end.told) <= set(ScanFolder.open(Path("part.scan")).verify().sound)
