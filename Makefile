@@ -9,7 +9,7 @@ READY := $(VENV)/.ready
 
 help:
 	@echo "make setup   environment in $(VENV) with every extra, system libraries where it may"
-	@echo "make demo    reconstruct a noisy, gappy vase; look at demo-out/report.html"
+	@echo "make demo    scan a vase on a simulated station and reconstruct it; look at demo-out/report.html"
 	@echo "make test    all tests"
 	@echo "make check   ruff, format, mypy, import contracts"
 	@echo "make paper   reproduce the paper's figures into docs/paper/"
@@ -41,4 +41,4 @@ bench: setup
 	for each in benchmarks/*.py; do echo "== $$each"; $(BIN)/python $$each || exit 1; done
 
 clean:
-	rm -rf $(VENV) demo-out build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) demo-out demo-out.scan build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
