@@ -11,6 +11,7 @@ import base64
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from uuid import UUID, uuid5
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from reconstruction.nurbs.values import Curve, Surface
 
 # Rhino 7 and everything later reads this; Rhino 8's own form would lock Rhino 7 out.
 _RHINO_VERSION = 7
+_OURS = UUID("6c6f6674-7363-516e-8000-000000000001")
 _STEEL = (120, 144, 156, 255)
 _ORANGE = (230, 120, 20, 255)
 
@@ -60,11 +62,11 @@ def write_threedm(
     model.Settings.ModelUnitSystem = rhino.UnitSystem.Millimeters
     model.ApplicationName = "loftscan"
     _annotate(model, name, provenance)
-    layer = model.Layers.AddLayer("surface", _STEEL)
+    layer = _layer(model, "surface", _STEEL)
     for index, surface in enumerate(surfaces):
         attributes = _attributes(rhino, f"{name} patch {index}", layer)
         model.Objects.AddSurface(_nurbs_surface(rhino, surface), attributes)
-    layer = model.Layers.AddLayer("sections", _ORANGE)
+    layer = _layer(model, "sections", _ORANGE)
     for index, curve in enumerate(curves):
         attributes = _attributes(rhino, f"{name} section {index}", layer)
         model.Objects.AddCurve(_nurbs_curve(rhino, curve), attributes)
@@ -122,9 +124,17 @@ def _annotate(model: Any, name: str, provenance: Mapping[str, object]) -> None: 
         model.Strings[f"loftscan\\{key}"] = value
 
 
+def _layer(model: Any, name: str, colour: tuple[int, int, int, int]) -> int:  # noqa: ANN401
+    index: int = model.Layers.AddLayer(name, colour)
+    model.Layers[index].Id = uuid5(_OURS, name)
+    return index
+
+
 def _attributes(rhino: Any, name: str, layer: int) -> Any:  # noqa: ANN401
     attributes = rhino.ObjectAttributes()
     attributes.Name = name
+    # Of the name, not of chance: the same reconstruction gives the same file.
+    attributes.Id = uuid5(_OURS, name)
     attributes.LayerIndex = layer
     return attributes
 

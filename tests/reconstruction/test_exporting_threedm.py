@@ -102,3 +102,17 @@ def test_a_3dm_seam_on_a_double_knot_is_cut_open_and_closed(tmp_path: Path, rhin
     (item,) = rhino.File3dm.Read(str(tmp_path / "a.3dm")).Objects
     assert item.Geometry.IsClosed(0)
     assert not item.Geometry.IsPeriodic(0)
+
+
+def test_the_same_surfaces_give_the_same_file_but_for_its_dates(tmp_path: Path, rhino) -> None:
+    files = [tmp_path / "a.3dm", tmp_path / "b.3dm"]
+    for path in files:
+        save_threedm(path, [SURFACES["ring"], SURFACES["ring"]], [])
+    first, second = (np.frombuffer(path.read_bytes(), np.uint8) for path in files)
+    # Two dates of four bytes at most that tick, and the checksum over them.
+    assert len(first) == len(second)
+    assert np.count_nonzero(first != second) <= 12
+    objects = [list(rhino.File3dm.Read(str(path)).Objects) for path in files]
+    ids = [[each.Attributes.Id for each in some] for some in objects]
+    assert ids[0] == ids[1]
+    assert len(set(ids[0])) == 2
