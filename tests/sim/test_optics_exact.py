@@ -127,7 +127,7 @@ def test_depth_incidence_and_reason_are_those_of_brute_force(name, triangulation
     assert found.count(Reason.MEASURED) > 20
     assert len(set(found)) > 2
     if name in ("bumps", "soup"):
-        assert found.count(Reason.OCCLUDED) > 20
+        assert found.count(Reason.OCCLUDED) > 10
 
 
 def test_black_patches_of_a_hundred_thousand_faces_are_those_of_brute_force():
@@ -177,17 +177,17 @@ def test_the_seam_of_two_faces_hides_what_the_faces_hide(roll):
 @pytest.mark.parametrize("rise_mm", [70.0, -50.0])
 @pytest.mark.parametrize("side_mm", [-30.0, 0.0, 30.0])
 def test_the_boxes_spare_work_and_change_no_answer(rise_mm, side_mm):
-    part, height_mm = soup(40.0, 4000), 40.1
+    part, height_mm = vase(around=90, levels=40), 44.1
     tree = arrange(part)
     boundless = tree.boxes_mm + np.array([0.0, 0.0, 1e6, 1e6, -1e6, 1e6])
     boundless.flags.writeable = False  # as the tree is: one kernel serves both
-    slopes = np.linspace(-0.9, 0.9, 2001)
+    slopes = np.linspace(-0.7, 0.7, 2001)
     turns_rad = np.arange(6.0)
     cosine, sine = np.cos(turns_rad), np.sin(turns_rad)
     ahead = np.stack([-cosine, -sine, np.full(6, 90.0)], axis=1)
     across = np.stack([-sine, cosine, np.full(6, side_mm)], axis=1)
     frames = np.stack([ahead, across], axis=1)
-    start_mm = np.random.default_rng(1).uniform(30.0, 150.0, (6, 1)) + 20.0 * slopes
+    start_mm = np.random.default_rng(1).uniform(30.0, 150.0, (6, 2001))
     answers = []
     for boxes_mm in (tree.boxes_mm, boundless):
         reasons = np.zeros((6, 2001), np.uint8)

@@ -46,15 +46,13 @@ from sim.faults import (
     Unsent,
     parse_faults,
 )
-from sim.motion import AxisMotion, Limits
-from sim.optics import OpticalBench
+from sim.motion import Limits
 from sim.parts import PARTS, cylinder, find_part, vase
 from sim.sensor import Hand, Lifting, Mounting, Sensor, Turning
 from sim.serving import Ending, Server
 from sim.solids import Part
 from sim.stations import (
     Addresses,
-    Foresight,
     Layout,
     build,
     connect,
@@ -63,7 +61,6 @@ from sim.stations import (
     truth_ply,
 )
 from sim.witness import Memory, read_witness
-from sim.world import Pace, World, WorldAxis
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PATIENCE_S = 60.0  # a deadline that only a broken simulator reaches
@@ -272,35 +269,7 @@ def test_every_nth_datagram_is_lost_and_no_other() -> None:
     assert Unsent(Capitals()).datagrams(0.0) == ()
 
 
-# --- the laser does not wait for the simulator ---------------------------------------------------
-
-
-def test_a_new_height_is_looked_at_once_when_the_stage_stands_and_the_laser_is_off(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    bench = OpticalBench(cylinder(around=32), Layout().optics)
-    heights_mm: list[float] = []
-    monkeypatch.setattr(bench, "profile", lambda _, stage_mm, __: heights_mm.append(stage_mm))
-    pace, witness = Pace(), Memory()
-    axes = [
-        WorldAxis(name, AxisMotion.standing(0.0, Limits(10.0, 100.0)), pace, witness)
-        for name in ("table", "stage")
-    ]
-    world = World(bench, axes[0], axes[1], pace, witness)
-    foresight = Foresight(world)
-    foresight.tick(0.0)
-    foresight.tick(1.0)
-    assert heights_mm == [0.0]
-    world.stage.go(10.0, 1.0, speed=10.0)
-    foresight.tick(1.5)
-    assert heights_mm == [0.0]
-    world.switch_laser(1.6, on=True, why="test")
-    foresight.tick(5.0)
-    assert heights_mm == [0.0]
-    world.switch_laser(5.1, on=False, why="test")
-    foresight.tick(6.0)
-    foresight.tick(7.0)
-    assert heights_mm == [0.0, 10.0]
+# --- devices -------------------------------------------------------------------------------------
 
 
 def test_the_station_is_lively_while_anything_moves_or_the_laser_is_on() -> None:
