@@ -8,7 +8,6 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import packages_distributions
-from importlib.util import find_spec
 from pathlib import Path
 
 from drivers.holders import holders_of
@@ -61,7 +60,6 @@ def checks() -> tuple[Check, ...]:
     shipped = packages_distributions()
     return (
         *(library_check(name, package) for name, package in _LIBRARIES.items()),
-        Check("embreex (simulator)", _no_embreex()),
         *(names_check(name, shipped) for name in PACKAGES),
     )
 
@@ -87,12 +85,6 @@ def names_check(name: str, shipped: Mapping[str, Sequence[str]]) -> Check:
         f"is shipped by {listed}, too; give loftscan an environment of its own, or run:"
         f" pip uninstall {' '.join(rivals)}",
     )
-
-
-def _no_embreex() -> str:
-    if find_spec("embreex") is None:
-        return "is not installed; run: pip install 'loftscan[sim]'"
-    return ""
 
 
 def _not_permitted(device: str) -> str:
