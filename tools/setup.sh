@@ -1,6 +1,6 @@
 #!/bin/sh
-# Sets a fresh machine up: an environment in $VENV with every extra and the development tools, and
-# the two system libraries that pymeshlab needs, where this user may install them.
+# Sets a fresh machine up: an environment in $VENV with every extra and the development tools, and,
+# where this user may install them, the two system libraries that pymeshlab needs and mbpoll.
 set -eu
 
 venv=${VENV:-.venv}
@@ -15,13 +15,25 @@ has_library() {
     "$python" -c "import ctypes.util, sys; sys.exit(ctypes.util.find_library('$1') is None)"
 }
 
+may_install() {
+    [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null
+}
+
+install() {
+    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq "$@" >/dev/null
+}
+
 if ! { has_library GL && has_library OpenGL; }; then
-    if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
-        apt-get update -qq
-        DEBIAN_FRONTEND=noninteractive apt-get install -y -qq libgl1 libopengl0 >/dev/null
+    if may_install; then
+        install libgl1 libopengl0
     else
         echo "note: mesh cleanup needs two system libraries: apt-get install libgl1 libopengl0" >&2
     fi
+fi
+
+# An independent Modbus master for the tests; nothing else needs it.
+if ! command -v mbpoll >/dev/null && ! { may_install && install mbpoll; }; then
+    echo "note: the tests that ask with mbpoll will be skipped: apt-get install mbpoll" >&2
 fi
 
 [ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
