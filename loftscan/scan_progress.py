@@ -13,10 +13,13 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TextIO
 
+import numpy as np
+
 from acquisition.frames import Kinematics
 from acquisition.poses import Sweep
 from acquisition.scan import Progress, StopRequest, Wish
 from drivers.laser import Guarantee
+from drivers.profiler import Reason
 from loftscan.coverage import turn_coverage
 from loftscan.scan_folders import Prospect, in_bytes
 
@@ -71,6 +74,8 @@ class ScanTeller:
         self._begun_s = clock()
         self._coverage: float | None = None
         self._last: Progress | None = None
+        self._torn_profiles = 0  # kept, with points that were lost on the wire
+        self._lost_points = 0
         self._line = ""
 
     def estimate(self, here: Prospect) -> None:
@@ -111,6 +116,7 @@ class ScanTeller:
     def kept(self, sweep: Sweep) -> None:
         """Tell that a slice is safe on the disk."""
         self._coverage = turn_coverage(sweep, self._kinematics)
+        self._count_lost(sweep)
         last = self._last
         if last is None:
             return
@@ -132,15 +138,20 @@ class ScanTeller:
         slices = here.plan.ring.count
         if self._manner is Manner.JSON:
             out = str(here.out)
-            self._say(event="done", out=out, slices=slices, seconds=round(seconds, 3))
+            self._say(
+                event="done", out=out, slices=slices, seconds=round(seconds, 3),
+                torn_profiles=self._torn_profiles, lost_points=self._lost_points,
+            )  # fmt: skip
         else:
             self._print(f"{here.out}: complete, {slices} slices; {in_time(seconds)}")
+        self._warn_of_lost()
 
     def paused(self, here: Prospect, kept: int) -> None:
         """Tell that the run ended at a slice's border."""
         if self._manner is Manner.JSON:
             self._say(event="paused", out=str(here.out), kept=kept, slices=here.plan.ring.count)
         self.end_line()
+        self._warn_of_lost()
 
     def note(self, text: str) -> None:
         """Say something beside the progress."""
@@ -154,6 +165,19 @@ class ScanTeller:
         if self._line:
             print(file=self._stream)
             self._line = ""
+
+    def _count_lost(self, sweep: Sweep) -> None:
+        lost = [int(np.count_nonzero(each.reasons == Reason.LOST)) for each in sweep.profiles]
+        self._torn_profiles += sum(count > 0 for count in lost)
+        self._lost_points += sum(lost)
+
+    def _warn_of_lost(self) -> None:
+        if self._torn_profiles and self._manner is not Manner.JSON:
+            self._print(
+                f"warning: {self._torn_profiles} profiles are kept with {self._lost_points} points"
+                " lost between sensor and program, marked as lost; look at the network, or scan"
+                " more slowly"
+            )
 
     def _how(self, pace: Pace) -> str:
         parts = [f"{pace.slices_per_min:.1f} slices/min"]

@@ -21,7 +21,7 @@ from enum import Enum
 from typing import Final
 
 from drivers.axis import AxisState, Identity, Kind, Motion, Pause
-from drivers.errors import NoReply, Refused
+from drivers.errors import DriverError, NoReply, Refused
 from drivers.grbl.conversation import (
     ANSWER_S,
     BANNER_S,
@@ -202,16 +202,23 @@ class GrblAxis:
 
     @contextmanager
     def _stopped_unless_done(self, doing: _Doing) -> Iterator[None]:
-        """Stop on every way out but the good one, whatever is raised."""
+        """Stop on every way out but the good one, whatever is raised; that stays the cause."""
         self._doing = doing
         try:
             yield
-            self._doing = _Doing.NOTHING
+        except BaseException as cause:
+            # A line that was refused moves nothing.
+            if not isinstance(self._talk.dialogue.answer, Error):
+                self._stop_because(cause)
+            raise
         finally:
-            executed = not isinstance(self._talk.dialogue.answer, Error)
-            if self._doing is not _Doing.NOTHING and executed:
-                self.stop()
             self._doing = _Doing.NOTHING
+
+    def _stop_because(self, cause: BaseException) -> None:
+        try:
+            self.stop()
+        except DriverError as failed:
+            cause.add_note(str(failed))
 
     def _until_standing(self, target: float, distance: float, pause: Pause) -> Status:
         within_s = 2 * self._duration_s(distance) + 2.0

@@ -387,6 +387,15 @@ def test_a_move_never_asks_for_more_than_the_boards_own_rate() -> None:
     assert made.moves() == ["G21G94G53G1X0F7200"]
 
 
+def test_when_the_board_falls_silent_in_a_move_that_stays_the_cause() -> None:
+    made = homed()
+    made.board.later(0.3, lambda: setattr(made.board, "silent", True))
+    with pytest.raises(NoReply, match="no report in") as silent:
+        made.axis.move_to(2 * math.tau, made.pause)
+    (note,) = silent.value.__notes__
+    assert "the stop was not confirmed" in note
+
+
 def test_idle_before_the_planner_starts_is_not_taken_for_arrival() -> None:
     made = homed()
     made.board.start_s = 0.08  # the first report after ok still says Idle

@@ -6,11 +6,13 @@ import io
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from acquisition.frames import Kind, Kinematics, Lifting, Turning
+from acquisition.plan import ring
 from acquisition.poses import Pose, Sweep
 from acquisition.scan import Progress, StopRequest
 from drivers.profiler import Profile, Reason
@@ -141,6 +143,21 @@ def test_a_pipe_gets_a_line_a_slice_and_a_program_an_object() -> None:
     assert (said["event"], said["slices_done"], said["slices"]) == ("slice", 1, 2)
     assert said["lost_profiles"] == 1
     assert said["coverage"] == 1.0
+
+
+def test_points_that_were_lost_on_the_wire_are_told_at_the_end() -> None:
+    here = SimpleNamespace(out=Path("part.scan"), plan=ring(0.0, 1.0, 1.0, 3))
+    torn = made([0.0, 1.0, 2.0], [10.0, 10.0, 0.0], [Reason.MEASURED, Reason.LOST, Reason.LOST])
+    said = {}
+    for manner in (Manner.LINES, Manner.JSON):
+        text = io.StringIO()
+        teller = ScanTeller(text, manner, KINEMATICS, StopRequest(), clock=lambda: 0.0)
+        teller.kept(Sweep(0, (torn, made([0.0], [9.0]), torn), (Pose(0.0, 0.0, 0.0),) * 3))
+        teller.done(here)
+        said[manner] = text.getvalue().splitlines()[-1]
+    assert said[Manner.LINES].startswith("warning: 2 profiles are kept with 4 points lost between")
+    end = json.loads(said[Manner.JSON])
+    assert (end["torn_profiles"], end["lost_points"]) == (2, 4)
 
 
 @pytest.mark.parametrize(
