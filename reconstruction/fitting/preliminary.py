@@ -1,0 +1,121 @@
+"""A first curve from a chain's nodes: a linear smoothing spline over their chord length.
+
+x and y share one stiffness, found by restricted likelihood from the nodes' own scatter; it
+penalises third differences of the control points (Eilers, Marx 1996). What it gets wrong, the fit
+of the raw points puts right: it need only lie within their band.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from reconstruction.arrays import FloatArray
+from reconstruction.fitting.bands import LEAST, factorise, inverse_band, solve
+from reconstruction.fitting.bending import add_penalty, row_variances
+from reconstruction.fitting.chain import Chain
+from reconstruction.fitting.spline import evaluate, spans_of
+
+_ROUNDS = 12
+_MOST_SPANS = 160
+
+
+def preliminary(chain: Chain) -> tuple[FloatArray, float]:
+    """Return control points (n, 2) and degrees of freedom of a curve along the chain.
+
+    At open ends it is a step longer, so that no point lies beyond it.
+    """
+    nodes = chain.nodes_mm
+    ends = np.vstack([nodes, nodes[:1]]) if chain.closed else nodes
+    along = np.concatenate([[0.0], np.linalg.norm(np.diff(ends, axis=0), axis=1).cumsum()])
+    spans = min(max(len(nodes), LEAST), _MOST_SPANS)
+    if chain.closed:
+        return smoothed(nodes, along[:-1] / along[-1] * spans, spans, closed=True)
+    beyond = along[-1] / (len(nodes) - 1)
+    t = (along + beyond) / (along[-1] + 2 * beyond) * spans
+    return smoothed(nodes, t, spans, closed=False)
+
+
+def smoothed(
+    places: FloatArray, t: FloatArray, spans: int, *, closed: bool
+) -> tuple[FloatArray, float]:
+    """Control points and degrees of freedom of the smoothing spline at parameters (m,)."""
+    unknowns = spans if closed else spans + 3
+    data, right = normal_equations(t, places, unknowns, closed=closed)
+    rows, still = _third_differences(spans), np.zeros(spans)
+    rank = spans - 1 if closed else spans
+    scatter = float(places.var()) * 1e-3 + 1e-300
+    ratio = 1.0
+    for _ in range(_ROUNDS):
+        band = data.copy()
+        add_penalty(band, np.zeros((unknowns, 1)), rows, still, np.full(spans, ratio))
+        band[:, 0] += 1e-12 * data[:, 0].max()
+        factor = factorise(band)
+        control = solve(*factor, right)
+        shares = ratio * row_variances(rows, inverse_band(*factor))
+        edf = unknowns - float(shares.sum())
+        misfits = places - evaluate(control, t)[0]
+        scatter = float((misfits**2).sum()) / (2 * max(len(t) - edf, 0.5 + 0.1 * len(t))) + 1e-300
+        bends = np.diff(control[np.arange(unknowns + 3 * closed) % unknowns], n=3, axis=0)
+        form = float((bends**2).sum()) / scatter
+        ratio *= min(max(2 * max(rank - shares.sum(), 0.1) / max(ratio * form, 1e-3), 0.05), 20.0)
+        ratio = min(max(ratio, 1e-6), 1e9)
+    return control, edf
+
+
+def reknotted(
+    control_mm: FloatArray,
+    spans: int,
+    *,
+    closed: bool,
+    within: tuple[float, float] | None = None,
+) -> FloatArray:
+    """Return control points of nearly the same curve on `spans` spans of equal arc length.
+
+    Parameters
+    ----------
+    within
+        Of an open curve: the stretch to keep, in the old parameter.
+    """
+    old = spans_of(control_mm, closed=closed)
+    start, end = within or (0.0, float(old))
+    fine = np.linspace(start, end, 8 * max(old, spans) + 1)
+    points = evaluate(control_mm, fine)[0]
+    along = np.concatenate([[0.0], np.linalg.norm(np.diff(points, axis=0), axis=1).cumsum()])
+    wanted = np.arange(4 * spans + (not closed)) / 4
+    places = evaluate(control_mm, np.interp(wanted / spans * along[-1], along, fine))[0]
+    return through(places, wanted, spans, closed=closed)
+
+
+def through(places: FloatArray, t: FloatArray, spans: int, *, closed: bool) -> FloatArray:
+    """Control points of the curve that runs through places (m, 2) at parameters (m,)."""
+    unknowns = spans if closed else spans + 3
+    band, right = normal_equations(t, places, unknowns, closed=closed)
+    add_penalty(band, right, _third_differences(spans), np.zeros(spans), np.full(spans, 1e-9))
+    return solve(*factorise(band), right)
+
+
+def _third_differences(spans: int) -> FloatArray:
+    return np.tile([-1.0, 3.0, -3.0, 1.0], (spans, 1))
+
+
+@njit(cache=True, nogil=True)
+def normal_equations(
+    t: FloatArray, places: FloatArray, unknowns: int, *, closed: bool
+) -> tuple[FloatArray, FloatArray]:
+    """B'B on the band (unknowns, 4), and B' places (unknowns, 2)."""
+    band, right = np.zeros((unknowns, 4)), np.zeros((unknowns, 2))
+    last = (unknowns if closed else unknowns - 3) - 1
+    for m in range(len(t)):
+        span = min(max(int(t[m]), 0), last)
+        f = t[m] - span
+        g = 1.0 - f
+        b = (g * g * g / 6, (3 * f * f * f - 6 * f * f + 4) / 6,
+             (3 * g * g * g - 6 * g * g + 4) / 6, f * f * f / 6)  # fmt: skip
+        for k in range(4):
+            at = (span + k) % unknowns
+            right[at, 0] += b[k] * places[m, 0]
+            right[at, 1] += b[k] * places[m, 1]
+            for q in range(k, 4):
+                band[at, q - k] += b[k] * b[q]
+    return band, right
