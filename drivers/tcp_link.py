@@ -87,7 +87,13 @@ def _connected(address: TcpAddress, connect_s: float) -> socket.socket:
                 connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
     except OSError as failure:
         raise LinkLost(
-            f"{address.text}: no connection in {connect_s} s ({failure}); "
+            f"{address.text}: no connection ({_why(failure, connect_s)}); "
             "is the device on, its address and port right?"
         ) from failure
     return connection
+
+
+def _why(failure: OSError, connect_s: float) -> str:
+    if isinstance(failure, TimeoutError):
+        return f"nothing in {connect_s} s"
+    return failure.strerror or str(failure)

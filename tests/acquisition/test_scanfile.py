@@ -244,7 +244,8 @@ def test_a_second_program_cannot_append_and_is_told_who_does(path: Path) -> None
         writer.append(sweep(0))
         script = (
             "import sys; from pathlib import Path\n"
-            "from acquisition import ScanFolder, ScanInUse\n"
+            "from acquisition.errors import ScanInUse\n"
+            "from acquisition.scanfile import ScanFolder\n"
             "try: ScanFolder.open(Path(sys.argv[1])).resume()\n"
             "except ScanInUse as held: print(held)\n"
         )

@@ -56,7 +56,7 @@ _VARIES = (
     (r"tries \(.*?\): press", "tries (REASON): press"),
     (r"set aside \(.*\); the", "set aside (REASON); the"),
     (r"left out \(.*?\): `", "left out (REASON): `"),
-    (r"(no connection in [\d.]+ s|is gone) \((.*?)\);", r"\1 (REASON);"),
+    (r"(no connection|is gone) \((.*?)\);", r"\1 (REASON);"),
     (r"\b[0-9a-f]{2}(?: [0-9a-f]{2})+\b", "BYTES"),
     (r"\b0x[0-9a-fA-F]+", "0xN"),
     (r"(?<![\w])\d+(?:\.\d+)?(?![\w.])", "N"),

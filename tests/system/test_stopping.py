@@ -42,13 +42,13 @@ PLAN = Plan(
     ring=Ring(first_mm=6.0, last_mm=8.0, step_mm=2.0, profiles_per_turn=4),
     step_and_shoot=StepAndShoot(settle_s=0.02),
 )
-ONE_HALF = (
+FIRST = (
     ("SIGTERM", Phase.EXPOSURE),
     ("SIGKILL", Phase.EXPOSURE),
     ("SIGINT twice", Phase.MOVING),
     ("SIGINT once", Phase.SETTLING),
 )
-OTHER_HALF = (
+SECOND = (
     ("SIGHUP", Phase.HOMING),
     ("exception", Phase.EXPOSURE),
     ("script SIGINT", Phase.EXPOSURE),
@@ -64,7 +64,7 @@ def lenient(kind: Kind) -> Kind:
     return replace(longer, strike=held(BOUND_S)) if kind.name == "SIGSTOP" else longer
 
 
-@pytest.mark.parametrize("stops", [ONE_HALF, OTHER_HALF], ids=["one half", "other half"])
+@pytest.mark.parametrize("stops", [FIRST, SECOND], ids=["first", "second"])
 def test_a_scan_that_is_stopped_in_many_ways_is_dark_and_at_rest_and_resumed_whole(
     place: Path, stops: tuple[tuple[str, Phase], ...]
 ) -> None:
