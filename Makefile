@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: help setup demo test check paper bench clean
+.PHONY: help setup demo test check paper bench safety clean
 
 help:
 	@echo "make setup   environment in $(VENV) with every extra, system libraries where it may"
@@ -14,6 +14,7 @@ help:
 	@echo "make check   ruff, format, mypy, import contracts"
 	@echo "make paper   reproduce the paper's figures into docs/paper/"
 	@echo "make bench   tables of speed, beside the peers"
+	@echo "make safety  stop scans at random instants; how long laser and axes took (a quarter of an hour)"
 
 setup: $(READY)
 
@@ -39,6 +40,9 @@ paper: setup
 bench: setup
 	$(BIN)/pip install --quiet --group bench || echo "open3d-cpu is not available here: its columns stay empty"
 	for each in benchmarks/*.py; do echo "== $$each"; $(BIN)/python $$each || exit 1; done
+
+safety: setup
+	$(BIN)/python -m tests.campaigns.stopping
 
 clean:
 	rm -rf $(VENV) demo-out demo-out.scan build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

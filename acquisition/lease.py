@@ -86,6 +86,7 @@ def lasing(laser: LaserSwitch, lease: Lease) -> Iterator[Callable[[], None]]:
         _must_be_valid(lease)
         lease.renew()
         laser.on()
+        _must_be_valid(lease)  # a program that was stopped just there has lit it late
 
     with at_last(laser.off):
         lease.renew()

@@ -15,7 +15,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from acquisition.durable import temporary
 from acquisition.errors import StorageFailed
+from acquisition.folder_lock import LOCK
 from acquisition.plan import Estimate, Plan, check_plan, estimate
 from acquisition.scan_record import ScanRecord
 from acquisition.scanfile import ScanFolder, ScanWriter
@@ -98,7 +100,10 @@ def _refuse_rest(out: Path) -> None:
         )
     if out.is_file():
         raise ValueError(f"{out}: is a file; name another --out")
-    if out.is_dir() and (found := [each for each in out.iterdir() if each.name != ".lock"]):
+    # A program that was killed before scan.json was there leaves these; the writer takes them over.
+    rests = {out / "slices", out / LOCK, *temporary(out)}
+    found = [*(each for each in out.glob("*") if each not in rests), *out.glob("slices/*")]
+    if found:
         raise ValueError(f"{out}: is there and holds {found[0].name}, no scan; name another --out")
 
 

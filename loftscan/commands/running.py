@@ -63,6 +63,8 @@ def _say(error: BaseException) -> str:
 def _message(error: BaseException) -> str:
     if isinstance(error, KeyboardInterrupt):
         return "stopped by the operator; nothing was written"
+    if isinstance(error, BrokenPipeError):
+        return "nobody reads its output any more, so it ended; slices that were kept are safe"
     if isinstance(error, MemoryError):
         remedy = "use a larger --resolution-mm or --spacing-mm, less --intermediate, or --crop"
         return f"out of memory ({error}); {remedy}"

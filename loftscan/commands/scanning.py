@@ -69,7 +69,7 @@ def scan(
                     _take(here, stop, part, teller, logs)
                 else:
                     _only_finish(here)
-        _tell_the_end(here, f"{station} {plan}", teller)
+            _tell_the_end(here, f"{station} {plan}", teller)
 
     run(work, debug=debug)
 

@@ -128,6 +128,15 @@ def test_keeping_on_renews_the_lease_and_the_switch() -> None:
     assert laser.log == ["on"] * 11 + ["off"]
 
 
+def test_a_program_that_was_stopped_while_it_kept_the_laser_on_puts_it_off() -> None:
+    clock = Clock()
+    laser, lease = Laser(clock), Lease(TTL_S, clock)
+    with pytest.raises(LeaseLapsed), lasing(laser, lease) as keep_on:  # noqa: PT012
+        laser.slow_s = 0.6  # a signal held it in the middle of switching
+        keep_on()
+    assert not laser.lit
+
+
 def test_a_lease_that_lapsed_with_the_laser_on_is_an_error_and_never_lights_it_again() -> None:
     clock = Clock()
     laser = Laser(clock)

@@ -25,6 +25,7 @@ from acquisition.stream import buffered
 from drivers.errors import LinkLost, NoReply, Refused
 from drivers.profiler import Profile
 from loftscan import Station, scan
+from loftscan.scan_folders import prospect
 from loftscan.scanning import Scan
 from tests.acquisition.scan_cases import STATION, assert_same_sweep
 from tests.acquisition.test_scan import Rig, rig
@@ -407,3 +408,16 @@ def test_a_device_that_does_not_answer_leaves_no_folder(at: Rig, tmp_path: Path)
         with pytest.raises(LinkLost):
             scan(opened, PLAN, out=out)
     assert not out.exists()
+
+
+def test_what_a_program_left_that_was_killed_before_its_record_is_taken_over(
+    tmp_path: Path,
+) -> None:
+    rest = tmp_path / "x.scan"
+    (rest / "slices").mkdir(parents=True)
+    (rest / ".lock").touch()
+    begun = prospect(STATION, PLAN, rest, resume=False)
+    assert begun.missing == tuple(range(PLAN.ring.count))
+    (rest / "slices/000000.npz").touch()
+    with pytest.raises(ValueError, match=r"holds 000000\.npz, no scan"):
+        prospect(STATION, PLAN, rest, resume=False)
