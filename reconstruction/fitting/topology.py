@@ -1,0 +1,189 @@
+"""Which points belong together, and in which order: the points of a slice become chains.
+
+::
+
+    points -> places -> runs -> rows -> chains
+              cells     linking thinning closing, nesting
+
+No length is given by anybody: cells follow the thickness of the cloud (`places`), neighbours are
+looked for as far as makes clean runs (`scale`), gaps are judged by the ends that face them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from reconstruction.arrays import FloatArray, IntArray, frozen
+from reconstruction.errors import TooFewPoints
+from reconstruction.fitting.cells import Int32Array, bounds
+from reconstruction.fitting.chain import Chain
+from reconstruction.fitting.closing import Joined, join
+from reconstruction.fitting.places import Places, look_at
+from reconstruction.fitting.scale import Order, order
+from reconstruction.fitting.thinning import Row, thin, thin_again
+
+_LEAST_POINTS = 5  # in a run
+_HEAP = 10  # points; fewer without an order are strays
+_STOUT = 6.0  # full bands: a run no longer than this is a heap
+_LARGEST_MM = 1e100  # coordinates beyond are no lengths; their squares must stay finite
+
+STRAY = -1
+UNORDERED = -2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Topology:
+    """Chains, what was set aside, and the scale of a slice."""
+
+    chains: tuple[Chain, ...]  # outer loops counter-clockwise, holes clockwise
+    depths: tuple[int, ...]  # how many loops each chain lies within; odd: a hole
+    chain_of_point: Int32Array  # (n,): the number of its chain, STRAY or UNORDERED
+    sigma_mm: float  # median standard deviation across the chains; 0 without any
+    spacing_mm: float  # length of the chains over their number of points; inf without any
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "chain_of_point", frozen(self.chain_of_point, np.int32))
+
+    @property
+    def strays(self) -> IntArray:
+        """Indices of the points that were set aside."""
+        return np.flatnonzero(self.chain_of_point == STRAY)
+
+    @property
+    def unordered(self) -> IntArray:
+        """Indices of the points that hang together in heaps without an order."""
+        return np.flatnonzero(self.chain_of_point == UNORDERED)
+
+    @property
+    def width_mm(self) -> float:
+        """Thickness of the cloud, 4 sigma: 95 % of a Gaussian band."""
+        return 4.0 * self.sigma_mm
+
+    @property
+    def band_mm(self) -> float:
+        """Thickness of the cloud as the full width of a uniform band of the same variance."""
+        return math.sqrt(12.0) * self.sigma_mm
+
+
+def find_chains(points_mm: ArrayLike) -> Topology:
+    """Order the points (n, 2) of a slice, n >= 4, given in any order.
+
+    Raises
+    ------
+    TooFewPoints
+        Fewer than 4 points, or points in fewer than 4 places.
+    ValueError
+        For another shape, or coordinates that are not finite lengths.
+    """
+    points = np.ascontiguousarray(points_mm, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise ValueError(f"points must have shape (n, 2), got {points.shape}")
+    if len(points) < 4:
+        raise TooFewPoints(f"{len(points)} points; a curve needs 4")
+    low, high = bounds(points)
+    if not max(np.abs(low).max(), np.abs(high).max()) < _LARGEST_MM:
+        raise ValueError("points must be finite lengths in mm: set NaN and infinity aside first")
+    places = look_at(points, low, high)
+    found = order(places)
+    rows, row_of_run = _rows(places, found)
+    kept, chain_of_row = _kept(places, found, rows, row_of_run)
+    # The last entries answer for what has no row, and no run: -1, -2.
+    chain_of_run = np.append(np.append(chain_of_row, [UNORDERED, STRAY])[row_of_run], STRAY)
+    chain_of_point = places.of_points(points, chain_of_run[found.runs.run_of_place])
+    return _concluded(places, kept, chain_of_point)
+
+
+def _kept(
+    places: Places, found: Order, rows: list[Row], row_of_run: IntArray
+) -> tuple[list[Joined], IntArray]:
+    """Join the rows and smooth their seams; the chain of each row."""
+    chain_of_row = np.full(len(rows), STRAY)
+    run_of_sample = found.runs.run_of_place[places.place_of_sample]
+    kept: list[Joined] = []
+    for joined in join(rows):
+        row, members = joined.row, list(joined.members)
+        if row is not rows[members[0]]:
+            mine = np.append(np.isin(row_of_run, members), False)[run_of_sample]
+            row = thin_again(places.sample[mine], row)
+        if _is_heap(row):
+            chain_of_row[members] = UNORDERED
+        else:
+            chain_of_row[members] = len(kept)
+            kept.append(replace(joined, row=row))
+    return kept, chain_of_row
+
+
+def _rows(places: Places, found: Order) -> tuple[list[Row], IntArray]:
+    """Thin each run; the row of each run, or STRAY or UNORDERED."""
+    runs = found.runs
+    run, slot = (v[places.place_of_sample] for v in (runs.run_of_place, runs.slot_of_place))
+    reach = found.reach[places.place_of_sample]
+    row_of_run = np.full(len(runs.lengths), STRAY)
+    by_run = np.argsort(run, kind="stable")
+    borders = np.searchsorted(run[by_run], np.arange(len(runs.lengths) + 1))
+    rows: list[Row] = []
+    for number, (count, closed) in enumerate(zip(runs.lengths, runs.closed, strict=True)):
+        mine = by_run[borders[number] : borders[number + 1]]
+        if found.ordered[number] and len(mine) >= _LEAST_POINTS:
+            row_of_run[number] = len(rows)
+            rows.append(
+                thin(places.sample[mine], slot[mine], reach[mine], int(count), closed=closed)
+            )
+        elif len(mine) >= _HEAP:
+            row_of_run[number] = UNORDERED
+    return rows, row_of_run
+
+
+def _is_heap(row: Row) -> bool:
+    """Whether a row is hardly longer than its points scatter across it."""
+    band = math.sqrt(12.0) * float(np.median(row.sigma))
+    return row.length < _STOUT * band
+
+
+def _concluded(places: Places, kept: list[Joined], chain_of_point: Int32Array) -> Topology:
+    depths = _depths([joined.row for joined in kept])
+    chains = tuple(
+        _chain(places, joined, clockwise=depth % 2 == 1)
+        for joined, depth in zip(kept, depths, strict=True)
+    )
+    held = int((chain_of_point >= 0).sum())
+    sigma = np.concatenate([chain.sigma_mm for chain in chains]) if chains else np.zeros(1)
+    length = sum(chain.length_mm for chain in chains)
+    spacing = length / held if held else math.inf
+    return Topology(chains, tuple(depths), chain_of_point, float(np.median(sigma)), spacing)
+
+
+def _chain(places: Places, joined: Joined, *, clockwise: bool) -> Chain:
+    row, gaps = joined.row, joined.row.gaps
+    nodes, sigma = row.nodes * places.unit_mm + places.origin_mm, row.sigma * places.unit_mm
+    if row.closed and (_area(row.nodes) < 0.0) != clockwise:
+        nodes, sigma = nodes[::-1], sigma[::-1]
+        gaps = tuple(sorted((len(nodes) - 2 - gap) % len(nodes) for gap in gaps))
+    return Chain(nodes, sigma, row.closed, gaps, joined.ambiguous)
+
+
+def _area(nodes: FloatArray) -> float:
+    """Signed area; counter-clockwise is positive."""
+    x, y = (nodes - nodes[0]).T
+    return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+
+
+def _depths(rows: list[Row]) -> list[int]:
+    """How many of the closed rows lie around each row."""
+    loops = [row for row in rows if row.closed]
+    return [
+        sum(_inside(row.nodes[0], loop.nodes) for loop in loops if loop is not row) for row in rows
+    ]
+
+
+def _inside(place: FloatArray, loop: FloatArray) -> bool:
+    """Whether a ray from the place to the right crosses the loop an odd number of times."""
+    x, y = (loop - place).T
+    next_x, next_y = np.roll(x, -1), np.roll(y, -1)
+    over = (y > 0) != (next_y > 0)
+    at = x[over] - y[over] * (next_x[over] - x[over]) / (next_y[over] - y[over])
+    return bool((at > 0).sum() % 2)

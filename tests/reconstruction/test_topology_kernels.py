@@ -1,0 +1,288 @@
+"""Each loop over the points, or over what stands for them, against its naive twin."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.sparse.csgraph import minimum_spanning_tree
+from scipy.spatial.distance import cdist
+
+from reconstruction.arrays import FloatArray
+from reconstruction.fitting.cells import bounds, heap_up
+from reconstruction.fitting.linking import _flood, link, neighbours_of
+from reconstruction.fitting.spanning import _uncross, span, spanning_tree
+from reconstruction.fitting.thinning import _parabola, _project, _regress
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def scattered(seed: int, count: int) -> FloatArray:
+    return np.random.default_rng(seed).uniform(-3.0, 5.0, (count, 2))
+
+
+@given(SEEDS, st.integers(1, 60))
+@settings(max_examples=50, deadline=None)
+def test_bounds_are_the_least_and_greatest_coordinates(seed: int, count: int) -> None:
+    points = scattered(seed, count)
+    low, high = bounds(points)
+    np.testing.assert_array_equal(low, points.min(axis=0))
+    np.testing.assert_array_equal(high, points.max(axis=0))
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("column", [0, 1])
+def test_bounds_are_infinite_if_any_coordinate_is_no_number(bad: float, column: int) -> None:
+    points = scattered(0, 9)
+    points[5, column] = bad
+    assert np.isinf(bounds(points)).all()
+
+
+def naive_heaps(points: FloatArray, low: FloatArray, edge: float) -> dict[tuple[int, int], list]:
+    heaps: dict[tuple[int, int], list] = {}
+    for point in points:
+        box = math.floor((point[0] - low[0]) / edge), math.floor((point[1] - low[1]) / edge)
+        heaps.setdefault(box, []).append(point)
+    return heaps
+
+
+@given(SEEDS, st.integers(2, 80), st.floats(0.2, 3.0))
+@settings(max_examples=50, deadline=None)
+def test_heaps_are_the_points_of_a_box_and_their_mean(seed: int, count: int, edge: float) -> None:
+    points = scattered(seed, count)
+    low, high = points.min(axis=0), points.max(axis=0)
+    heaps = heap_up(points, low, high, edge)
+    naive = naive_heaps(points, low, heaps.lattice.edge_mm)
+    means = sorted(np.mean(held, axis=0).tolist() for held in naive.values())
+    np.testing.assert_allclose(sorted(heaps.places_mm.tolist()), means, atol=1e-12)
+    assert heaps.counts.sum() == count
+    numbers = heaps.of_points(points, np.arange(len(naive)))
+    for held in naive.values():
+        (number,) = set(numbers[(points[:, None] == held).all(axis=2).any(axis=1)].tolist())
+        np.testing.assert_allclose(heaps.places_mm[number], np.mean(held, axis=0), atol=1e-12)
+
+
+def test_points_outside_the_lattice_belong_to_no_heap() -> None:
+    points = np.array([[0.5, 0.5], [1.5, 0.5], [9.0, 0.5], [-0.1, 0.5]])
+    heaps = heap_up(points, np.zeros(2), np.full(2, 1.9), 1.0)
+    assert heaps.counts.sum() == 2
+    np.testing.assert_array_equal(heaps.of_points(points, np.array([7, 8])), [7, 8, -1, -1])
+
+
+@given(SEEDS, st.integers(2, 5))
+@settings(max_examples=30, deadline=None)
+def test_coarsened_heaps_are_those_of_wider_boxes(seed: int, times: int) -> None:
+    points = scattered(seed, 100)
+    low, high = points.min(axis=0), points.max(axis=0)
+    fine = heap_up(points, low, high, 0.3)
+    coarse = fine.coarsened(times)
+    naive = naive_heaps(points, low, times * fine.lattice.edge_mm)
+    means = sorted(np.mean(held, axis=0).tolist() for held in naive.values())
+    np.testing.assert_allclose(sorted(coarse.places_mm.tolist()), means, atol=1e-12)
+    own = coarse.places_mm[coarse.of_points(points, np.arange(len(naive)))]
+    assert np.abs(own - points).max() <= times * fine.lattice.edge_mm
+
+
+@given(SEEDS, st.integers(2, 60))
+@settings(max_examples=50, deadline=None)
+def test_neighbours_are_those_within_both_reaches(seed: int, count: int) -> None:
+    places = scattered(seed, count)
+    reach = np.random.default_rng(seed).uniform(0.1, 3.0, count)
+    starts, neighbours = neighbours_of(places, reach)
+    near = cdist(places, places) <= np.minimum(reach[:, None], reach[None, :])
+    np.fill_diagonal(near, val=False)
+    for n in range(count):
+        found = sorted(neighbours[starts[n] : starts[n + 1]].tolist())
+        assert found == np.flatnonzero(near[n]).tolist()
+
+
+def naive_steps(near: np.ndarray, seed: int) -> dict[int, int]:
+    """Steps from a seed, breadth first."""
+    steps, queue = {seed: 0}, deque([seed])
+    while queue:
+        here = queue.popleft()
+        for other in np.flatnonzero(near[here]):
+            if int(other) not in steps:
+                steps[int(other)] = steps[here] + 1
+                queue.append(int(other))
+    return steps
+
+
+@given(SEEDS, st.integers(2, 50), st.floats(0.3, 2.5))
+@settings(max_examples=50, deadline=None)
+def test_slabs_are_what_hangs_together_at_one_step_of_the_flood(
+    seed: int, count: int, reach: float
+) -> None:
+    places = scattered(seed, count)
+    near = cdist(places, places) <= reach
+    np.fill_diagonal(near, val=False)
+    slab, pairs, levels = _flood(*neighbours_of(places, np.full(count, reach)))
+    touching = {(min(a, b), max(a, b)) for a, b in slab[np.argwhere(near)] if a != b}
+    assert {tuple(pair) for pair in pairs.tolist()} == touching
+    for here in range(count):
+        steps = naive_steps(near, here)
+        level = levels[slab[here]]
+        # A flood's own seed is its only place at step 0; from there its levels are the steps.
+        if level == 0:
+            assert all(levels[slab[place]] == step for place, step in steps.items())
+        same = near & (levels[slab][:, None] == levels[slab][None, :])
+        assert set(naive_steps(same, here)) == set(np.flatnonzero(slab == slab[here]).tolist())
+
+
+def test_a_ring_of_places_is_a_closed_run_and_a_row_an_open_one() -> None:
+    angle = np.linspace(0.0, math.tau, 60, endpoint=False)
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    row = np.stack([np.linspace(3.0, 6.0, 31), np.zeros(31)], axis=1)
+    runs = link(np.vstack([ring, row]), np.full(91, 0.25))
+    assert sorted(runs.closed) == [False, True]
+    assert runs.flaws <= 1  # where the two sides of the flood meet
+    assert len(set(runs.run_of_place[:60])) == len(set(runs.run_of_place[60:])) == 1
+    slots = runs.slot_of_place[60:]
+    assert (np.diff(slots) >= 0).all() or (np.diff(slots) <= 0).all()
+
+
+def test_a_spur_and_a_hole_in_a_band_are_flaws_and_no_runs() -> None:
+    x, y = np.meshgrid(np.arange(60.0), np.arange(3.0))
+    band = np.stack([x.ravel(), y.ravel()], axis=1)
+    hole = (np.abs(band[:, 0] - 40.5) < 1.0) & (band[:, 1] == 1.0)
+    spur = np.array([[20.0, 3.4], [20.0, 4.8]])
+    runs = link(np.vstack([band[~hole], spur]), np.full(len(band) - hole.sum() + 2, 1.5))
+    assert runs.closed == (False,)
+    assert runs.flaws >= 1
+    assert (runs.run_of_place == 0).all()
+
+
+@given(SEEDS, st.integers(2, 40))
+@settings(max_examples=50, deadline=None)
+def test_the_spanning_tree_is_as_short_as_the_textbook_one(seed: int, count: int) -> None:
+    places = scattered(seed, count)
+    parents, lengths = spanning_tree(places)
+    assert (parents < 0).sum() == 1
+    shortest = minimum_spanning_tree(cdist(places, places)).sum()
+    assert lengths.sum() == pytest.approx(shortest)
+    children = np.flatnonzero(parents >= 0)
+    steps = np.linalg.norm(places[children] - places[parents[children]], axis=1)
+    np.testing.assert_allclose(lengths[children], steps)
+
+
+@given(SEEDS, st.integers(3, 25))
+@settings(max_examples=40, deadline=None)
+def test_an_uncrossed_path_keeps_its_points_and_cannot_be_shortened_by_a_turn(
+    seed: int, count: int
+) -> None:
+    places = scattered(seed, count)
+    order = np.arange(count)
+    _uncross(places, order)
+    assert sorted(order.tolist()) == list(range(count))
+
+    def length(way: np.ndarray) -> float:
+        return float(np.linalg.norm(np.diff(places[way], axis=0), axis=1).sum())
+
+    for i in range(count - 1):
+        for j in range(i + 2, count):
+            turned = np.concatenate([order[: i + 1], order[i + 1 : j + 1][::-1], order[j + 1 :]])
+            assert length(turned) >= length(order) - 1e-9
+
+
+def test_single_file_is_refused_where_the_points_fill_a_band() -> None:
+    rng = np.random.default_rng(1)
+    angle = rng.uniform(0.0, math.tau, 150)
+    for band, follows in ((0.01, True), (0.6, False)):
+        radius = 1.0 + rng.uniform(-band / 2, band / 2, 150)
+        ring = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        assert (span(ring) is not None) == follows
+
+
+def naive_foot(place: FloatArray, ring: FloatArray, ups: FloatArray) -> float:
+    """Place along an open polyline by trying every segment."""
+    best, along = math.inf, 0.0
+    for k in range(len(ring) - 1):
+        arm = ring[k + 1] - ring[k]
+        share = float((place - ring[k]) @ arm / (arm @ arm))
+        share = max(share, -2.0 if k == 0 else 0.0)
+        share = min(share, 3.0 if k == len(ring) - 2 else 1.0)
+        away = float(np.linalg.norm(ring[k] + share * arm - place))
+        if away < best:
+            best, along = away, float(ups[k] + share * (ups[k + 1] - ups[k]))
+    return along
+
+
+@given(SEEDS)
+@settings(max_examples=30, deadline=None)
+def test_the_foot_of_a_place_is_the_nearest_on_the_segments_around(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    x = np.arange(8.0)
+    ring = np.stack([x, rng.uniform(-0.3, 0.3, 8)], axis=1)
+    places = np.stack([rng.uniform(-0.5, 7.5, 40), rng.uniform(-0.4, 0.4, 40)], axis=1)
+    at = np.clip(places[:, 0].astype(np.int64), 0, 6)
+    ups = np.concatenate([[0.0], rng.uniform(0.5, 2.0, 7).cumsum()])
+    found = _project(places, ring, ups, at, closed=False)
+    naive = [naive_foot(place, ring, ups) for place in places]
+    np.testing.assert_allclose(found, naive, atol=1e-12)
+
+
+def naive_middle(along: FloatArray, places: FloatArray, at: float, window: float) -> FloatArray:
+    """Value of the weighted parabola in the middle of a window, and the scatter across it."""
+    u = along - at
+    near = np.abs(u) < window
+    weights = 1.0 - (u[near] / window) ** 2  # polyfit squares them
+    fits = [np.polyfit(u[near], column[near], 2, w=weights) for column in places.T]
+    slope = np.array([fit[1] for fit in fits]) / np.hypot(fits[0][1], fits[1][1])
+    curves = [np.polyval(fit, u) for fit in fits]
+    misfits = places - np.stack(curves, axis=1)
+    across = (misfits @ np.array([slope[1], -slope[0]]))[near]
+    return np.array([fits[0][2], fits[1][2], np.sqrt((across**2).sum() / (near.sum() - 3))])
+
+
+@given(SEEDS, st.booleans())
+@settings(max_examples=30, deadline=None)
+def test_nodes_are_the_middles_of_weighted_parabolas(seed: int, closed: bool) -> None:  # noqa: FBT001
+    rng = np.random.default_rng(seed)
+    along = np.sort(rng.uniform(0.0, 20.0, 400))
+    places = np.stack([np.cos(along / 4), np.sin(along / 3)], axis=1)
+    places += rng.normal(0.0, 0.01, places.shape) + 1e6
+    grid = np.linspace(2.0, 18.0, 9)
+    nothing = np.full(9, np.inf)
+    period = 20.0 if closed else np.inf
+    middles, sigma = _regress(along, places, grid, nothing, np.full(9, 1.5), period)
+    naive = np.array([naive_middle(along, places - 1e6, at, 1.5) for at in grid])
+    np.testing.assert_allclose(middles - 1e6, naive[:, :2], atol=1e-6)
+    np.testing.assert_allclose(sigma, naive[:, 2], rtol=1e-4)
+
+
+def test_windows_of_a_closed_row_reach_over_its_seam() -> None:
+    along = np.sort(np.random.default_rng(0).uniform(0.0, 10.0, 300))
+    angle = along / 10.0 * math.tau
+    places = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    grid, nothing, window = np.array([0.0, 9.99]), np.full(2, np.inf), np.full(2, 1.0)
+    middles, _ = _regress(along, places, grid, nothing, window, 10.0)
+    later = np.sort(np.mod(along + 5.0, 10.0))
+    moved = np.roll(places, -int(np.searchsorted(along, 5.0)), axis=0)
+    again, _ = _regress(later, moved, np.array([5.0, 4.99]), nothing, window, 10.0)
+    np.testing.assert_allclose(middles, again, atol=1e-12)
+
+
+def test_a_stray_has_no_say_in_a_window() -> None:
+    along = np.linspace(0.0, 2.0, 41)
+    places = np.stack([along, np.zeros(41)], axis=1)
+    places[18, 1] = 5.0
+    none = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    with_it = _parabola(along, places, np.zeros(2), 1.0, 1.0, 0, 41, 41, none, np.inf, np.inf)
+    without = _parabola(along, places, np.zeros(2), 1.0, 1.0, 0, 41, 41, none, 0.1, np.inf)
+    assert abs(with_it[1]) > 0.1
+    np.testing.assert_allclose(without, (1.0, 0.0, 1.0, 0.0, 0.0, 0.0), atol=1e-12)
+
+
+def test_among_few_places_a_stray_is_found_though_it_draws_the_line_to_itself() -> None:
+    along = np.array([0.0, 0.1, 0.2, 1.0, 1.8, 1.9, 2.0])
+    places = np.stack([along, np.zeros(7)], axis=1)
+    places[3, 1] = 1.0
+    grid, window = np.array([1.0]), np.array([1.25])
+    drawn, _ = _regress(along, places, grid, np.array([np.inf]), window, np.inf)
+    straight, _ = _regress(along, places, grid, np.array([0.15]), window, np.inf)
+    assert drawn[0, 1] > 0.3
+    assert straight[0, 1] == pytest.approx(0.0, abs=1e-12)
