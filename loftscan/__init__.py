@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from loftscan.comparing import Comparison
     from loftscan.result import Result
     from loftscan.scanning import scan
+    from loftscan.sectioning import fit_section
     from loftscan.simulation import simulate
     from loftscan.station import Station
     from loftscan.updates import Finished, Fitted, Missed
@@ -29,6 +30,7 @@ __all__ = [
     "Result",
     "Station",
     "compare",
+    "fit_section",
     "reconstruct",
     "reconstruct_stream",
     "scan",
@@ -43,6 +45,7 @@ _HOMES = {
     "Result": "loftscan.result",
     "Station": "loftscan.station",
     "compare": "loftscan.verbs",
+    "fit_section": "loftscan.sectioning",
     "reconstruct": "loftscan.verbs",
     "reconstruct_stream": "loftscan.verbs",
     "scan": "loftscan.scanning",

@@ -18,6 +18,7 @@ from loftscan.commands.demo import demo
 from loftscan.commands.devices import devices
 from loftscan.commands.reconstruct import reconstruct
 from loftscan.commands.scanning import scan
+from loftscan.commands.section import section
 from loftscan.commands.simulating import SETTINGS, sim
 from loftscan.commands.station import init
 
@@ -49,7 +50,7 @@ def _about(
     """Turn the slices of a scanning station into one watertight NURBS surface."""
 
 
-for each in (demo, init, devices, home, jog, stop, profile, scan, reconstruct, compare):
+for each in (demo, init, devices, home, jog, stop, profile, scan, reconstruct, section, compare):
     app.command()(each)
 app.command(context_settings=SETTINGS)(sim)
 

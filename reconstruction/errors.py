@@ -2,6 +2,7 @@
 
     ReconstructionError            root: the work failed; the message says what and what to do
     ├── TooFewPoints               a section, a slice or a whole cloud has not enough points
+    ├── Unfittable                 points that no curve can be laid through
     ├── NotLoftable                sections that cannot be joined to one surface
     ├── UnreadableCloud(OSError)   the input file is missing, damaged or of no known format
     ├── CleanupFailed              the mesh child died, ran out of time or memory, broke a promise
@@ -19,6 +20,10 @@ class ReconstructionError(Exception):
 
 class TooFewPoints(ReconstructionError):  # noqa: N818 (the house names errors after the fact)
     """Not enough points, for example a section of 3 points, or slices that are all empty."""
+
+
+class Unfittable(ReconstructionError):  # noqa: N818
+    """Points in which no curve is to be found, for example NaN, or a heap without an order."""
 
 
 class NotLoftable(ReconstructionError):  # noqa: N818

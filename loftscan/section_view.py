@@ -1,0 +1,147 @@
+"""A picture of one fitted slice: points, chain, curves, their 95 % band, gaps, what was left out.
+
+The band of a good fit is thinner than the line that draws the curve. In the whole picture it is
+drawn wider than it is, by a factor that the legend says; the close-up beside has it to scale.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path
+
+from loftscan.figures import BLUE, GREEN, INK, MUTED, ORANGE, PURPLE, RED, section_figure
+from reconstruction.arrays import FloatArray, IntArray
+from reconstruction.fitting.curve import FittedCurve
+from reconstruction.fitting.section import SectionFit
+
+_DRAWN = 20_000  # points; more make the picture no clearer
+_SAMPLES = 1201  # of a curve
+_SEEN = 0.006  # of the picture: a band thinner than this is exaggerated
+_WIDEST = 0.06  # of the picture
+_FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+_CLOSE_UP_WIDTHS = 8.0  # thicknesses of the cloud
+_CLOSE_UP_SHARE = 0.15  # of the slice, at most
+
+
+def fitted_figure(points_mm: FloatArray, found: SectionFit, *, title: str) -> Figure:
+    """Draw what was found in the points (n, 2) of a slice."""
+    left_out = _thinned(points_mm, found.strays)
+    used = np.ones(len(points_mm), bool)
+    used[found.strays] = used[found.unordered] = False
+    drawn = _thinned(points_mm, np.flatnonzero(used))
+    figure = section_figure(
+        drawn, title=title, left_out_mm=left_out, measured=int(used.sum()),
+    )  # fmt: skip
+    whole = figure.axes[0]
+    size = float(np.ptp(points_mm, axis=0).max())
+    factor = _exaggeration(found, size)
+    _draw(whole, points_mm, found, factor)
+    window = _window(points_mm, found, size)
+    if window is not None:
+        _draw_close_up(figure, points_mm, found, *window)
+    figure.legends[0].remove()
+    figure.legend(
+        *whole.get_legend_handles_labels(), loc="upper right", bbox_to_anchor=(0.995, 0.93),
+        frameon=False, fontsize=8,
+    )  # fmt: skip
+    return figure
+
+
+def _thinned(points_mm: FloatArray, rows: IntArray) -> FloatArray:
+    return points_mm[rows[:: max(-(-len(rows) // _DRAWN), 1)]]
+
+
+def _exaggeration(found: SectionFit, size_mm: float) -> int:
+    """How many times as wide the band is drawn."""
+    if not found.curves:
+        return 1
+    halves = np.concatenate([1.96 * curve.deviations_mm for curve in found.curves])
+    wanted = min(
+        _SEEN * size_mm / max(float(np.median(halves)), 1e-300),
+        _WIDEST * size_mm / max(float(halves.max()), 1e-300),
+    )
+    return max(factor for factor in _FACTORS if factor <= max(wanted, 1.0))
+
+
+def _draw(axes: Axes, points_mm: FloatArray, found: SectionFit, factor: int) -> None:
+    """Everything but the points that are on curves; labels once each."""
+    said = set[str]()
+
+    def label(words: str) -> str | None:
+        new = words not in said
+        said.add(words)
+        return words if new else None
+
+    if len(found.unordered):
+        heap = _thinned(points_mm, found.unordered)
+        words = f"{len(found.unordered):,} unordered"
+        axes.scatter(
+            heap[:, 0], heap[:, 1], s=5, c=PURPLE, lw=0, label=label(words), rasterized=True
+        )
+    band = "95 % band" if factor == 1 else f"95 % band, {factor} x as wide"
+    for curve, chain in zip(found.curves, found.chains, strict=True):
+        axes.add_patch(_band(curve, factor, label(band)))
+        nodes = chain.nodes_mm
+        axes.plot(*nodes.T, ".", ms=2.2, color=GREEN, label=label("chain"), zorder=2.2)
+        colour, words = (INK, "ambiguous") if curve.ambiguous else (BLUE, "curve")
+        grid = np.linspace(*curve.domain, _SAMPLES)
+        axes.plot(*curve(grid).T, color=colour, lw=1.2, label=label(words), zorder=2.4)
+        for stretch in _gaps(curve):
+            x, y = stretch.T
+            axes.plot(x, y, c=RED, lw=2.2, ls=(0, (2, 1)), label=label("gaps"), zorder=2.6)
+        if curve.creases:
+            x, y = curve(np.array(curve.creases)).T
+            axes.plot(x, y, "D", ms=4, mfc="none", mec=INK, label=label("corners"), zorder=2.7)
+
+
+def _band(curve: FittedCurve, factor: int, label: str | None) -> PathPatch:
+    grid = np.linspace(*curve.domain, _SAMPLES)
+    arms = factor * 1.96 * curve.deviation_mm(grid)[:, None] * curve.normals(grid)
+    places = curve(grid)
+    sides = (places + arms, (places - arms)[::-1])
+    path = Path(np.concatenate(sides))
+    if curve.closed:
+        path = Path.make_compound_path(*(Path(side) for side in sides))
+    return PathPatch(path, fc=ORANGE, alpha=0.45, lw=0, label=label, zorder=2)
+
+
+def _gaps(curve: FittedCurve) -> list[FloatArray]:
+    start, end = curve.domain
+    stretches = []
+    for a, b in curve.gaps:
+        grid = np.linspace(a, b if a < b else b + end - start, 101)
+        stretches.append(curve(np.where(grid > end, grid - (end - start), grid)))
+    return stretches
+
+
+def _window(
+    points_mm: FloatArray, found: SectionFit, size_mm: float
+) -> tuple[FloatArray, float] | None:
+    """Middle and side of the close-up: where a gap begins, else some place of the first curve."""
+    if not found.curves:
+        return None
+    side = min(max(_CLOSE_UP_WIDTHS * found.width_mm, 0.02 * size_mm), _CLOSE_UP_SHARE * size_mm)
+    gapped = next((curve for curve in found.curves if curve.gaps), None)
+    if gapped is not None:
+        return gapped(gapped.gaps[0][0]), side
+    start, end = found.curves[0].domain
+    return found.curves[0](start + (end - start) / 8), side
+
+
+def _draw_close_up(
+    figure: Figure, points_mm: FloatArray, found: SectionFit, middle: FloatArray, side: float
+) -> None:
+    low, high = middle - side / 2, middle + side / 2
+    width, height = figure.get_size_inches()
+    axes = figure.add_axes((0.775, 0.1, 0.205, 0.205 * width / height))
+    near = points_mm[((points_mm > low) & (points_mm < high)).all(axis=1)]
+    x, y = near[:: max(len(near) // _DRAWN, 1)].T
+    axes.scatter(x, y, s=4, c=MUTED, lw=0, rasterized=True)
+    _draw(axes, points_mm, found, 1)
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xticks=(), yticks=())
+    axes.set_title(f"close-up, {side:.3g} mm, to scale", fontsize=8.5, color=MUTED, pad=4)
+    corners = np.array([low, (high[0], low[1]), high, (low[0], high[1]), low])
+    figure.axes[0].plot(*corners.T, color=INK, lw=0.9, zorder=3)
