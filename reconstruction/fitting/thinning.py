@@ -90,10 +90,21 @@ def _thinned(places: FloatArray, row: Row, at: IntArray) -> tuple[Row, IntArray]
     reach = np.maximum(reach, _THICK * sigma)
     supported = _supported(along[order], grid, period)
     nodes, kept = _levelled(nodes, sigma, grid, supported, period)
-    place = np.cumsum(kept) - 1  # a gap follows the last node kept before it
-    gaps = tuple(sorted({int(place[gap]) % int(kept.sum()) for gap in gaps}))
+    gaps = _gaps_among(kept, gaps, closed=row.closed)
     new = Row(nodes[kept], sigma[kept], reach[kept], row.closed, gaps)
     return new, np.searchsorted(grid[kept], along, side="right") - 1
+
+
+def _gaps_among(kept: BoolArray, gaps: tuple[int, ...], *, closed: bool) -> tuple[int, ...]:
+    """After which of the kept nodes a gap follows: after the last one kept before it.
+
+    Beyond the ends of an open row there is nothing to be apart from.
+    """
+    places, count = np.cumsum(kept) - 1, int(kept.sum())
+    found = {int(places[gap]) for gap in gaps}
+    if closed:
+        return tuple(sorted({place % count for place in found}))
+    return tuple(sorted(place for place in found if 0 <= place < count - 1))
 
 
 def _supported(along: FloatArray, grid: FloatArray, period: float) -> BoolArray:
