@@ -16,7 +16,7 @@ from contextlib import contextmanager
 
 from acquisition.errors import LeaseLapsed
 from drivers.axis import Pause
-from drivers.errors import DriverError
+from drivers.endings import at_last
 from drivers.laser import LaserSwitch
 
 TTL_S = 0.12
@@ -47,21 +47,6 @@ class Lease:
     def renew(self) -> None:
         """Begin the time to live anew; lapsed or not, since with the laser off it may lapse."""
         self._renewed_s = self._clock()
-
-
-@contextmanager
-def at_last(ending: Callable[[], None]) -> Iterator[None]:
-    """Do `ending` on every way out; after another error its own failure is a note of that one."""
-    try:
-        yield
-    except BaseException as first:
-        try:
-            ending()
-        except DriverError as failed:
-            first.add_note(str(failed))
-        raise
-    else:
-        ending()
 
 
 @contextmanager

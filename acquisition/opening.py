@@ -18,7 +18,6 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 
-from acquisition.lease import at_last
 from acquisition.station import (
     BaumerOx,
     GrblTable,
@@ -34,6 +33,7 @@ from acquisition.station import (
 from drivers import baumer_ox, grbl, leadshine, relay
 from drivers.addresses import SerialAddress, TcpAddress, UdpAddress, parse_address
 from drivers.axis import Axis, Identity, Kind
+from drivers.endings import at_last, unless_done
 from drivers.laser import Guarantee, LaserSwitch
 from drivers.links import ByteLink, open_link
 from drivers.modbus import Framing, ModbusBus, rtu_silence_s
@@ -112,13 +112,9 @@ def open_station(
 @contextmanager
 def at_rest_unless_done(station: OpenStation) -> Iterator[None]:
     """Laser off, then the axes stopped, if the block is left by anything but its end."""
-    try:
+    table, stage, laser = station.table, station.stage, station.laser
+    with unless_done(table.stop), unless_done(stage.stop), unless_done(laser.off):
         yield
-    except BaseException:
-        with ExitStack() as endings:
-            for ending in (station.table.stop, station.stage.stop, station.laser.off):
-                endings.enter_context(at_last(ending))
-            raise
 
 
 def grbl_settings(table: GrblTable) -> grbl.Settings:

@@ -17,7 +17,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from acquisition.settings import Key, commented_toml, parse_toml, read_table
+from acquisition.settings import (
+    Key,
+    commented_toml,
+    parse_settings,
+    read_settings,
+    read_table,
+)
 from acquisition.station import Station
 
 _GRID_SLACK = 1e-6  # of a step: 0.1 + 0.1 + 0.1 still reaches 0.3
@@ -163,31 +169,13 @@ def estimate(plan: Plan, station: Station) -> Estimate:
 
 
 def parse_plan(text: str, name: str = "plan.toml") -> Plan:
-    """Make a plan of the text of a plan.toml; `name` is the file's, for refusals.
-
-    Raises
-    ------
-    ValueError
-        One line: the file, table.key, what is wrong and the fix.
-    """
-    return read_table(Plan, parse_toml(text, name), name)
+    """Make a plan of the text of a plan.toml; see `parse_settings`."""
+    return parse_settings(Plan, text, name)
 
 
 def read_plan(path: Path) -> Plan:
-    """Read and parse a plan.toml.
-
-    Raises
-    ------
-    ValueError
-        As `parse_plan`, or the text is not UTF-8.
-    OSError
-        The file cannot be read.
-    """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as bad:
-        raise ValueError(f"{path}: not UTF-8 text: {bad}; save it as UTF-8") from bad
-    return parse_plan(text, str(path))
+    """Read and parse a plan.toml; see `read_settings`."""
+    return read_settings(Plan, path)
 
 
 def write_plan(plan: Plan) -> str:

@@ -21,6 +21,7 @@ from dataclasses import MISSING, dataclass, fields
 from difflib import get_close_matches
 from enum import Enum
 from functools import cache
+from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -87,6 +88,34 @@ def read_table(kind: type[Value], table: Table, name: str, path: str = "") -> Va
         return kind(**values)
     except ValueError as bad:
         raise ValueError(f"{name}: {_joined(path, '')}{bad}") from bad
+
+
+def parse_settings(kind: type[Value], text: str, name: str) -> Value:
+    """Make a `kind` of a TOML text; `name` is the file's, for refusals.
+
+    Raises
+    ------
+    ValueError
+        One line: the file, table.key, what is wrong and the fix.
+    """
+    return read_table(kind, parse_toml(text, name), name)
+
+
+def read_settings(kind: type[Value], path: Path) -> Value:
+    """Read a file and make a `kind` of it.
+
+    Raises
+    ------
+    ValueError
+        As `parse_settings`, or the text is not UTF-8.
+    OSError
+        The file cannot be read.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as bad:
+        raise ValueError(f"{path}: not UTF-8 text: {bad}; save it as UTF-8") from bad
+    return parse_settings(kind, text, str(path))
 
 
 def as_table(settings: object) -> dict[str, Any]:

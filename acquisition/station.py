@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, ClassVar
 
 from acquisition.frames import Kinematics
-from acquisition.settings import Key, commented_toml, parse_toml, read_table
+from acquisition.settings import Key, commented_toml, parse_settings, read_settings
 
 _SERIAL_OR_TCP = ("serial://", "tcp://")
 _HEAD = """\
@@ -214,31 +214,13 @@ class Station:
 
 
 def parse_station(text: str, name: str = "station.toml") -> Station:
-    """Make a station of the text of a station.toml; `name` is the file's, for refusals.
-
-    Raises
-    ------
-    ValueError
-        One line: the file, table.key, what is wrong and the fix.
-    """
-    return read_table(Station, parse_toml(text, name), name)
+    """Make a station of the text of a station.toml; see `parse_settings`."""
+    return parse_settings(Station, text, name)
 
 
 def read_station(path: Path) -> Station:
-    """Read and parse a station.toml.
-
-    Raises
-    ------
-    ValueError
-        As `parse_station`, or the text is not UTF-8.
-    OSError
-        The file cannot be read.
-    """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as bad:
-        raise ValueError(f"{path}: not UTF-8 text: {bad}; save it as UTF-8") from bad
-    return parse_station(text, str(path))
+    """Read and parse a station.toml; see `read_settings`."""
+    return read_settings(Station, path)
 
 
 def write_station(station: Station) -> str:

@@ -12,9 +12,7 @@ A damaged slice is left out and told; the others are used.
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
-import os
 import time
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, replace
@@ -22,7 +20,7 @@ from enum import Enum
 from pathlib import Path
 
 from acquisition.errors import DamagedSlice, NotAScan
-from acquisition.folder_lock import LOCK
+from acquisition.folder_lock import is_locked
 from acquisition.scan_record import ScanRecord, State, calibration_hash
 from acquisition.scanfile import POLL_S, ScanFolder
 from acquisition.settings import as_table
@@ -180,21 +178,6 @@ class WriterWatch:
         self._next_look_s = self._clock() + _LOOK_S
         self._found_free = 0 if is_locked(self._folder) else self._found_free + 1
         return self._found_free >= _LOOKS
-
-
-def is_locked(folder: Path) -> bool:
-    """Whether a program holds the lock of a .scan folder; a look of some microseconds."""
-    try:
-        descriptor = os.open(folder / LOCK, os.O_RDONLY)
-    except FileNotFoundError:
-        return False
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    finally:
-        os.close(descriptor)
-    return False
 
 
 def read_piece(folder: ScanFolder, index: int, record: ScanRecord) -> Piece:

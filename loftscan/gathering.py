@@ -7,13 +7,13 @@ points.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from drivers.profiler import Reason
+from loftscan.coverage import share_of_turn
 from loftscan.scans import Absent, Arrival, corners_of
 from reconstruction.arrays import BoolArray, FloatArray, IntArray, frozen
 from reconstruction.errors import TooFewPoints
@@ -26,7 +26,6 @@ _SAMPLE = 200_000  # points for the deviation, of all slices together
 _DRAWN_A_SLICE = 3_000  # as many bytes as the histograms of its section
 _DRAWN_ASIDE = 30_000  # points of each reason
 _FEWEST = 8  # points that a slice needs before strays can be told from it
-_DEGREES = 360
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -257,10 +256,7 @@ def thinned(piece: Slice) -> Slice:
 
 def coverage(piece: Slice) -> float:
     """Share of the degrees of a turn in which a slice has a point, seen from its plane's origin."""
-    planar_mm = piece.frame.to_plane(piece.points_mm)
-    turn = np.arctan2(planar_mm[:, 1], planar_mm[:, 0]) / math.tau % 1.0
-    cells = np.minimum((turn * _DEGREES).astype(np.int64), _DEGREES - 1)
-    return len(np.unique(cells)) / _DEGREES
+    return share_of_turn(piece.frame.to_plane(piece.points_mm))
 
 
 def height_mm(frame: Frame) -> float:

@@ -15,17 +15,18 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol, Self
 
-from acquisition.lease import LONGEST_WAIT_S, TTL_S, Lease, at_last, lasing, pausing
+from acquisition.lease import LONGEST_WAIT_S, TTL_S, Lease, lasing, pausing
 from acquisition.opening import OpenStation, at_rest_unless_done, open_station
 from acquisition.scan import StopRequest
 from acquisition.station import NoLaserSwitch, read_station
 from acquisition.station import Station as Settings
 from drivers.axis import Axis, AxisState, Motion, Pause
+from drivers.endings import at_last
 from drivers.errors import NoReply, Refused
 from drivers.grbl import GrblAxis
 from drivers.links import ByteLink, open_link
@@ -164,9 +165,8 @@ class Station:
         """
         at = self._devices
         with self._attention.at_work(StopRequest()):
-            with ExitStack() as endings:
-                for ending in (at.table.stop, at.stage.stop, at.laser.off):
-                    endings.enter_context(at_last(ending))
+            with at_last(at.table.stop), at_last(at.stage.stop), at_last(at.laser.off):
+                pass  # the laser first: endings are done in reverse
             return self._standing()
 
     def profile(self) -> Profile:

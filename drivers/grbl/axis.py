@@ -21,7 +21,8 @@ from enum import Enum
 from typing import Final
 
 from drivers.axis import AxisState, Identity, Kind, Motion, Pause
-from drivers.errors import DriverError, NoReply, Refused
+from drivers.endings import unless_done
+from drivers.errors import NoReply, Refused
 from drivers.grbl.conversation import (
     ANSWER_S,
     BANNER_S,
@@ -205,20 +206,15 @@ class GrblAxis:
         """Stop on every way out but the good one, whatever is raised; that stays the cause."""
         self._doing = doing
         try:
-            yield
-        except BaseException as cause:
-            # A line that was refused moves nothing.
-            if not isinstance(self._talk.dialogue.answer, Error):
-                self._stop_because(cause)
-            raise
+            with unless_done(self._stop_what_began):
+                yield
         finally:
             self._doing = _Doing.NOTHING
 
-    def _stop_because(self, cause: BaseException) -> None:
-        try:
+    def _stop_what_began(self) -> None:
+        # A line that was refused moves nothing.
+        if not isinstance(self._talk.dialogue.answer, Error):
             self.stop()
-        except DriverError as failed:
-            cause.add_note(str(failed))
 
     def _until_standing(self, target: float, distance: float, pause: Pause) -> Status:
         within_s = 2 * self._duration_s(distance) + 2.0

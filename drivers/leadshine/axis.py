@@ -20,6 +20,7 @@ from dataclasses import dataclass
 
 from drivers.axis import AxisState, Identity, Kind, Motion, Pause
 from drivers.bus import Bus
+from drivers.endings import unless_done
 from drivers.errors import DriverError, FrameError, LinkLost, NoReply, Refused
 from drivers.leadshine.registers import (
     DAMAGED_REQUEST,
@@ -204,7 +205,7 @@ class LeadshineStage:
         self._must_have_the_scale()
         self._homed = False
         timeout_s = self._settings.homing_s()
-        with self._stopped_unless_done():
+        with unless_done(self._give_up):
             self._write(Register.HOMING, homing_block(self._settings.home_search()))
             self._homing = True
             # Never re-sent either: a lost answer shows in the status, as a lost request does.
@@ -229,7 +230,7 @@ class LeadshineStage:
         self._must_be_ready()
         self._must_be_homed()  # the drive may have said otherwise
         timeout_s = self._settings.move_s(position - self._position_mm())
-        with self._stopped_unless_done():
+        with unless_done(self._give_up):
             lost = self._start(self._settings.path_to(position))
             watch = self._watch(Status.PATH_COMPLETE)
             status = self._wait(watch, f"the move to {position:.3f} mm", timeout_s, pause)
@@ -287,18 +288,12 @@ class LeadshineStage:
                 )
             pause(_POLL_S)
 
-    @contextmanager
-    def _stopped_unless_done(self) -> Iterator[None]:
-        """Send a stop if the block is left by anything but its end; never masks the reason."""
+    def _give_up(self) -> None:
+        self._homing = False
         try:
-            yield
-        except BaseException as reason:
-            self._homing = False
-            try:
-                self.stop()
-            except DriverError as failed:
-                reason.add_note(f"{self._name}: and the stop failed: {failed}")
-            raise
+            self.stop()
+        except DriverError as failed:
+            raise Refused(f"{self._name}: the stop failed: {failed}") from failed
 
     def _must_be_inside(self, position_mm: float) -> None:
         low_mm, high_mm = self._settings.low_mm, self._settings.high_mm

@@ -9,13 +9,13 @@ docs/protocols/relay.md for who guarantees what.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 from drivers.axis import Identity
 from drivers.bus import Bus
+from drivers.endings import unless_done
 from drivers.errors import DriverError, Refused
 from drivers.laser import Guarantee
 from drivers.relay.registers import IDENTIFIER_WORDS, Register, text_of, watchdog_word
@@ -93,18 +93,6 @@ class _Contact:
         self._name = name
         self._clock = clock
         self._sleep = sleep
-
-    @contextmanager
-    def open_unless_done(self) -> Iterator[None]:
-        """Open it if the block is left by anything but its end; never masks the reason."""
-        try:
-            yield
-        except BaseException as reason:
-            try:
-                self.open()
-            except DriverError as failed:
-                reason.add_note(str(failed))
-            raise
 
     def close(self) -> None:
         """Close it and read back."""
@@ -203,7 +191,7 @@ class WatchedBlock:
         Refused
             The output did not follow, or the block forgot its watchdog (it was restarted).
         """
-        with self._contact.open_unless_done():
+        with unless_done(self._contact.open):
             self._must_still_be_watched()
             self._contact.close()
 
@@ -266,7 +254,7 @@ class PlainRelay:
 
     def on(self) -> None:
         """Switch on and read back, off again where that fails; see `LaserSwitch.on`."""
-        with self._contact.open_unless_done():
+        with unless_done(self._contact.open):
             self._contact.close()
 
     def off(self) -> None:

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 import pytest
 
 from acquisition.errors import LeaseLapsed
-from acquisition.lease import TTL_S, Lease, at_last, lasing, pausing
+from acquisition.lease import TTL_S, Lease, lasing, pausing
 from drivers.axis import Identity
+from drivers.endings import at_last
 from drivers.errors import NoReply, Refused
 from drivers.laser import Guarantee
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import itertools
 import json
 import os
@@ -237,6 +238,18 @@ def test_damaged_slices_are_set_aside_under_new_names_and_taken_again(path: Path
     names = ["000001.npz.damaged", "000001.npz.damaged2"]
     assert [(path / "slices" / name).read_bytes() for name in names] == kept
     assert folder.verify().sound == (0, 1)
+
+
+def test_who_only_looks_at_the_lock_keeps_no_writer_out(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ScanFolder.create(path, record()).close()
+    with (path / ".lock").open() as looker:
+        fcntl.flock(looker, fcntl.LOCK_SH)
+        looked = lambda seconds: fcntl.flock(looker, fcntl.LOCK_UN)  # noqa: E731
+        monkeypatch.setattr("acquisition.folder_lock.time.sleep", looked)
+        with ScanFolder.open(path).resume() as writer:
+            writer.append(sweep(0))
 
 
 def test_a_second_program_cannot_append_and_is_told_who_does(path: Path) -> None:

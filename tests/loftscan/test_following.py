@@ -20,13 +20,14 @@ import numpy as np
 import pytest
 
 from acquisition.errors import DamagedSlice, NotAScan
+from acquisition.folder_lock import is_locked
 from acquisition.frames import Kinematics, Lifting
 from acquisition.poses import Sweep
 from acquisition.scan_record import State, calibration_hash
 from acquisition.scanfile import ScanFolder, ScanWriter
 from drivers.profiler import Profile, Reason
 from loftscan import Finished, Fitted, Missed, gathering, reconstruct, reconstruct_stream
-from loftscan.following import FollowedScan, KeptScan, WriterWatch, is_locked, read_piece
+from loftscan.following import FollowedScan, KeptScan, WriterWatch, read_piece
 from loftscan.gathering import EvenSample, coverage, find_strays
 from loftscan.reconstructing import Settings
 from loftscan.result import Result

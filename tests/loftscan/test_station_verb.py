@@ -16,12 +16,12 @@ from pathlib import Path
 import pytest
 
 from acquisition.errors import Stopped
-from acquisition.lease import at_last
 from acquisition.plan import ring
 from acquisition.scan_record import State
 from acquisition.scanfile import ScanFolder
 from acquisition.station import Station as Settings
 from acquisition.stream import buffered
+from drivers.endings import at_last
 from drivers.errors import LinkLost, NoReply, Refused
 from drivers.profiler import Profile
 from loftscan import Station, scan
