@@ -1,0 +1,57 @@
+"""What contours over many slices amount to: branches, and where they meet.
+
+::
+
+    slice 4    o   o        two branches end in the same joint ...
+               |   |
+    joint      +-+-+
+                 |
+    slice 3      o          ... out of which one branch goes on
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from reconstruction.skinning.outlines import Outline
+
+
+class Ending(Enum):
+    """What becomes of a branch beyond its last outline."""
+
+    UNSEEN = "unseen"  # no slice was taken there
+    CLOSED = "closed"  # the next slice has nothing there
+    JOINED = "joined"  # contours split or merge before the next slice
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """One end of a branch."""
+
+    ending: Ending
+    height_mm: float  # JOINED: of the joint; CLOSED: of the next slice; UNSEEN: of the outline
+    joint: int | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Branch:
+    """Outlines that follow each other, one to one.
+
+    Most go up from slice to slice. One may go up outside and come down inside, where a loop and
+    the hole in it vanish together; if that happens at both ends it is `cyclic`, as a torus is.
+    """
+
+    outlines: tuple[Outline, ...]
+    cyclic: bool  # the last outline is followed by the first
+    ends: tuple[End, End] | None  # None: cyclic
+    hole: bool  # it bounds a cavity: material lies outside
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """Branches that meet in a plane between two slices."""
+
+    height_mm: float
+    below: tuple[int, ...]
+    above: tuple[int, ...]
