@@ -12,10 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from scipy.spatial import cKDTree
 
 from reconstruction.arrays import FloatArray, frozen
+from reconstruction.nurbs import evaluate_surface
 from reconstruction.skinning.net import Net, derivatives_at
 from reconstruction.skinning.outlines import Moments
+
+_A_SPAN = 3  # places of the net a span, to look for the nearest
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,6 +65,22 @@ def find_feet(
         derivatives, moments.means_mm, moments.covariances_mm2, noise_mm2
     )
     return Feet(u, v, normals, distances, scatters)
+
+
+def nearby(net: Net, cells: Moments, reach_mm: float) -> tuple[Moments, FloatArray, FloatArray]:
+    """Cells within reach of a net, and rough foot points."""
+    end_u, end_v = net.spans
+    u = np.linspace(0.0, end_u, _A_SPAN * int(end_u), endpoint=not net.closed_u)
+    v = np.linspace(0.0, end_v, _A_SPAN * int(end_v), endpoint=not net.closed_v)
+    grid = evaluate_surface(net.surface(), u, v)
+    _, found = cKDTree(grid.reshape(-1, 3)).query(cells.means_mm)
+    at_u, at_v = u[found // len(v)], v[found % len(v)]
+    feet = find_feet(net, cells, at_u, at_v, np.zeros((3, 3)), rounds=4)
+    # Away from a border of the surface the arm is the normal's; over one it is longer.
+    arms = cells.means_mm - derivatives_at(net, feet.u, feet.v)[:, 0]
+    near = np.linalg.norm(arms, axis=1) <= reach_mm
+    kept = Moments(cells.counts[near], cells.means_mm[near], cells.covariances_mm2[near])
+    return kept, feet.u[near], feet.v[near]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

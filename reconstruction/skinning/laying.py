@@ -19,9 +19,9 @@ from itertools import pairwise
 import numpy as np
 
 from reconstruction.arrays import FloatArray, frozen
+from reconstruction.nurbs import evaluate_surface
 from reconstruction.skinning.aligning import Stations
 from reconstruction.skinning.ends import Apex, Brim
-from reconstruction.nurbs import evaluate_surface
 from reconstruction.skinning.net import Net, basis_at, knots_of
 from reconstruction.skinning.outlines import Outline
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from reconstruction.skinning.aligning import Stations, align
+from reconstruction.skinning.assembly import variances_across
 from reconstruction.skinning.branch import Branch
 from reconstruction.skinning.ends import Apex, Brim, brim_or_apex
+from reconstruction.skinning.feet import nearby
 from reconstruction.skinning.laying import Laid, lay_net
+from reconstruction.skinning.net import basis_at, derivatives_at, unit_normals
 from reconstruction.skinning.noise import Noise
 from reconstruction.skinning.outlines import Moments
 from reconstruction.skinning.tensor_fit import FREE, Rim, TensorFit, fit_net
@@ -21,6 +25,8 @@ _LEAST_SPANS_V = 6
 _MOST_SPANS_V = 160
 _STATIONS_A_SPAN = 3
 _LEAST_STATIONS = 96
+_REACH = 6.0  # standard deviations from the first net: loose cells farther off are not its
+_BOXES = 64
 _EXACT = 1e-7  # of a part's size: scatter below it is none
 
 
@@ -35,9 +41,61 @@ class Skin:
     moments: Moments
     fit: TensorFit
 
+    @property
+    def ring_ended(self) -> bool:
+        """Whether it turned over and ends, in one plane, in a loop and the hole in it."""
+        if self.brims is None:
+            return False
+        low, high = self.brims
+        outlines = self.branch.outlines
+        return (
+            outlines[0].hole != outlines[-1].hole
+            and isinstance(low, Brim)
+            and isinstance(high, Brim)
+            and low.height_mm == high.height_mm
+        )
 
-def skin_branch(branch: Branch) -> Skin:
-    """Fit one tensor surface to a branch of at least two outlines."""
+    def deviation_mm(self, u: FloatArray, v: FloatArray) -> FloatArray:
+        """Posterior standard deviation across the surface at (m,), (m,)."""
+        net = self.fit.net
+        frames = derivatives_at(net, u, v)
+        at = (
+            basis_at(u, net.knots_u, 0, closed=net.closed_u),
+            basis_at(v, net.knots_v, 0, closed=net.closed_v),
+        )
+        normals = unit_normals(frames[:, 1], frames[:, 2])
+        return np.sqrt(variances_across(self.fit.inverse, net, self.fit.unknowns, at, normals))
+
+    def synthetic(self, u: FloatArray, v: FloatArray) -> BoolArray:
+        """Whether no measured point stands near parameters of any shape."""
+        counts = self.support
+        end_u, end_v = self.fit.net.spans
+        column = np.minimum((u / end_u * counts.shape[0]).astype(np.int64), counts.shape[0] - 1)
+        row = np.minimum((v / end_v * counts.shape[1]).astype(np.int64), counts.shape[1] - 1)
+        return np.asarray(counts[column, row] == 0)
+
+    @property
+    def support(self) -> IntArray:
+        """Cells beside each box of a lattice over (u, v), a gap's width apart."""
+        end_u, end_v = self.fit.net.spans
+        shape = (min(int(end_u), _BOXES), min(max(len(self.branch.outlines) // 2, 1), _BOXES))
+        held = self.fit.weights > 0.0
+        feet = self.fit.feet
+        counts = np.zeros(shape, np.int64)
+        column = np.minimum((feet.u[held] / end_u * shape[0]).astype(np.int64), shape[0] - 1)
+        row = np.minimum((feet.v[held] / end_v * shape[1]).astype(np.int64), shape[1] - 1)
+        np.add.at(counts, (column, row), 1)
+        return counts
+
+
+def skin_branch(branch: Branch, loose: Moments | None = None) -> Skin:
+    """Fit one tensor surface to a branch of at least two outlines.
+
+    Parameters
+    ----------
+    loose
+        Cells that lie on no outline; those near the surface are used, the others left alone.
+    """
     outlines = branch.outlines
     spans = (_spans_around(branch), _spans_along(branch))
     stations = align(
@@ -46,7 +104,13 @@ def skin_branch(branch: Branch) -> Skin:
     brims = _brims(branch)
     laid = lay_net(outlines, stations, brims, spans)
     moments = Moments.together([outline.moments for outline in outlines])
-    fit = fit_net(laid.net, moments, laid.u, laid.v, _noise(branch), rims=_rims(brims))
+    noise = _noise(branch)
+    u, v = laid.u, laid.v
+    if loose is not None and len(loose):
+        near, near_u, near_v = nearby(laid.net, loose, _REACH * math.sqrt(noise.level_mm2))
+        moments = Moments.together([moments, near])
+        u, v = np.concatenate([u, near_u]), np.concatenate([v, near_v])
+    fit = fit_net(laid.net, moments, u, v, noise, rims=_rims(brims))
     return Skin(branch, brims, laid, stations, moments, fit)
 
 

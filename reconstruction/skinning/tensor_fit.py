@@ -115,7 +115,9 @@ def fit_net(
             break
         fit, state, moved = found
         if turn in _RELAID:
-            state = replace(state, **dict(zip(("net", "v"), relaid(state.net, state.v), strict=True)))
+            state = replace(
+                state, **dict(zip(("net", "v"), relaid(state.net, state.v), strict=True))
+            )
         if moved < _STILL and turn > 1:
             break
     if fit is None:
