@@ -17,26 +17,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reconstruction.arrays import FloatArray, IntArray
+from reconstruction.arrays import BoolArray, FloatArray
 from reconstruction.errors import NotLoftable
+from reconstruction.skinning.agreeing import agreeing_slabs, seen_once
 from reconstruction.skinning.branch import Branch, Ending, Joint
 from reconstruction.skinning.doubts import (
     Doubt,
+    crossings,
     doubtful_shapes,
-    index_of,
     off_the_line,
     unusable_loops,
 )
 from reconstruction.skinning.loops import AROUND, Loops, loops_of
-from reconstruction.skinning.missing import bridged, is_missed, seen_once
 from reconstruction.skinning.outlines import Outline
-from reconstruction.skinning.slabs import Event, events_between
-from reconstruction.skinning.threads import Chain, Slab, chains_of, tie_threads
+from reconstruction.skinning.slabs import Event, Slab
+from reconstruction.skinning.threads import Chain, chains_of, tie_threads
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,17 +93,15 @@ def find_branches(slices: Sequence[Sequence[Outline]], heights_mm: ArrayLike) ->
     doubts: list[Doubt] = []
     given = loops_of(slices, stack_mm)
     loops = given.without(unusable_loops(given, doubts))
-    doubts += doubtful_shapes(loops)
-    slabs = _slabs(loops, stack_mm)
-    alone = seen_once(loops, slabs, doubts)
-    if alone.any():
-        loops = loops.without(alone)
-        slabs = _slabs(loops, stack_mm)
-    _require(loops)
-    doubts += _missed(loops, slabs)
-    slabs = bridged(loops, slabs, stack_mm, doubts)
-    threads = tie_threads(loops, slabs, stack_mm)
-    chains = [_straightened(loops, each, doubts) for each in chains_of(threads, loops)]
+    crossing = crossings(loops)
+    doubts += doubtful_shapes(loops, crossing)
+    slabs = agreeing_slabs(loops, len(stack_mm), doubts)
+    slabs = _without(slabs, seen_once(loops, slabs, doubts))
+    _require(loops, slabs)
+    threads = tie_threads(loops, slabs)
+    chains = [
+        _straightened(loops, each, crossing[:, 0], doubts) for each in chains_of(threads, loops)
+    ]
     chains = _outside_in(loops, chains)
     used = {id(loops.outlines[each]) for chain in chains for each in chain.loops}
     return Branching(
@@ -124,68 +121,41 @@ def _checked(slices: Sequence[Sequence[Outline]], heights_mm: ArrayLike) -> Floa
     return stack_mm
 
 
-def _slabs(loops: Loops, stack_mm: FloatArray) -> list[Slab]:
-    """Events from slice to slice, over empty ones that were missed."""
-    slabs: list[Slab] = []
-    none = np.empty(0, dtype=np.int64)
-    drifts = np.zeros((len(loops), 2))  # mm a mm of height
-    full = [int(level) for level in np.unique(loops.levels)]
-    for lower, upper in pairwise([-1, *full, len(stack_mm)]):
-        below = loops.at(lower)
-        if (
-            lower >= 0
-            and upper < len(stack_mm)
-            and (upper == lower + 1 or is_missed(loops, lower, upper))
-        ):
-            events = _followed(loops, below, loops.at(upper), drifts)
-            slabs.append(Slab(lower, upper, events))
-            continue
-        above = loops.at(upper)
-        if 0 <= lower < len(stack_mm) - 1:
-            slabs.append(Slab(lower, lower + 1, events_between(loops, below, none, drifts[below])))
-        if 0 < upper < len(stack_mm):
-            slabs.append(Slab(upper - 1, upper, events_between(loops, none, above, drifts[none])))
-    return slabs
-
-
-def _followed(
-    loops: Loops, below: IntArray, above: IntArray, drifts: FloatArray
-) -> tuple[Event, ...]:
-    """Events, and the drift of what goes on noted."""
-    rise = loops.heights_mm[above[0]] - loops.heights_mm[below[0]]
-    events = events_between(loops, below, above, loops.centres_mm[below] + rise * drifts[below])
-    for event in events:
-        if len(event.below) == len(event.above) == 1:
-            (p,), (q,) = event.below, event.above
-            drifts[q] = (loops.centres_mm[q] - loops.centres_mm[p]) / rise
-    return events
-
-
-def _require(loops: Loops) -> None:
-    slices = sorted({each.slice_index for each in loops.outlines})
-    if len(slices) < 2:
-        few = f"only slice {slices[0]} has" if slices else "no slice has"
-        raise NotLoftable(
-            f"{few} contours that another slice goes on with; a surface needs two slices",
-            indices=tuple(slices),
-        )
-
-
-def _missed(loops: Loops, slabs: Sequence[Slab]) -> list[Doubt]:
-    what = "no contour, though those below and above go on in each other; bridged"
+def _without(slabs: Sequence[Slab], dropped: BoolArray) -> list[Slab]:
+    """Leave out the events of loops that nothing else hangs on."""
     return [
-        Doubt(index_of(loops, level), what)
+        replace(slab, events=tuple(each for each in slab.events if not _about(each, dropped)))
         for slab in slabs
-        for level in range(slab.lower + 1, slab.upper)
     ]
 
 
-def _straightened(loops: Loops, chain: Chain, doubts: list[Doubt]) -> Chain:
-    """Leave out what lies far off the line of its neighbours."""
+def _about(event: Event, dropped: BoolArray) -> bool:
+    return bool(dropped[list(event.below + event.above)].any())
+
+
+def _require(loops: Loops, slabs: Sequence[Slab]) -> None:
+    if any(slab.events for slab in slabs):
+        return
+    indices = tuple(sorted({each.slice_index for each in loops.outlines}))
+    if len(indices) < 2:
+        found = f"only slice {indices[0]} has contours" if indices else "no slice has contours"
+    else:
+        found = f"no contour of {len(indices)} slices goes on in another one"
+    raise NotLoftable(f"{found}; a surface needs two slices that overlap", indices=indices)
+
+
+def _straightened(loops: Loops, chain: Chain, crossing: BoolArray, doubts: list[Doubt]) -> Chain:
+    """Leave out what lies far off the line of its neighbours, and what crosses itself.
+
+    Where half of a branch crosses itself, nothing better is there to take its place.
+    """
     found = off_the_line(loops, chain.loops)
     doubts += [doubt for doubt, _, _ in found]
-    gross = {number for _, number, left_out in found if left_out}
-    return replace(chain, loops=[each for each in chain.loops if each not in gross])
+    dropped = {number for _, number, gross in found if gross}
+    tangled = {each for each in chain.loops if crossing[each]}
+    if 2 * len(tangled) < len(chain.loops):
+        dropped |= tangled
+    return replace(chain, loops=[each for each in chain.loops if each not in dropped])
 
 
 def _outside_in(loops: Loops, chains: Sequence[Chain]) -> list[Chain]:

@@ -30,9 +30,11 @@ _PARALLEL = 1e-6  # of a unit normal: planes farther apart in direction are not 
 class Loops:
     """The closed outlines of a stack, slice by slice, each as a polygon."""
 
+    stack_mm: FloatArray  # (s,), heights of all slices, of empty ones too
     outlines: tuple[Outline, ...]
     levels: IntArray  # (l,): which of the slices given
     heights_mm: FloatArray  # (l,)
+    holes: BoolArray  # (l,)
     corners_mm: FloatArray  # (l, CORNERS, 2)
     parents: IntArray  # (l,): the loop each lies in directly, or AROUND
     depths: IntArray  # (l,): how many it lies in
@@ -42,21 +44,21 @@ class Loops:
     def __post_init__(self) -> None:
         for name in ("levels", "parents", "depths"):
             object.__setattr__(self, name, frozen(getattr(self, name), np.int64))
-        for name in ("heights_mm", "corners_mm", "areas_mm2", "centres_mm"):
+        object.__setattr__(self, "holes", frozen(self.holes, np.bool_))
+        for name in ("stack_mm", "heights_mm", "corners_mm", "areas_mm2", "centres_mm"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
     def __len__(self) -> int:
         return len(self.outlines)
 
     @property
-    def holes(self) -> BoolArray:
-        """Which of them are holes, (l,)."""
-        return np.array([each.hole for each in self.outlines], dtype=np.bool_)
-
-    @property
     def radii_mm(self) -> FloatArray:
         """Of circles of the same area, (l,)."""
         return np.sqrt(self.areas_mm2 / np.pi)
+
+    def across(self, number: int) -> str:
+        """The size of a loop, to be read."""
+        return f"{2.0 * self.radii_mm[number]:.3g} mm across"
 
     def at(self, level: int) -> IntArray:
         """Numbers of the loops of one slice."""
@@ -70,7 +72,7 @@ class Loops:
         outlines = tuple(self.outlines[each] for each in kept)
         taken = {
             name: getattr(self, name)[kept]
-            for name in ("levels", "heights_mm", "corners_mm", "areas_mm2", "centres_mm")
+            for name in ("levels", "heights_mm", "holes", "corners_mm", "areas_mm2", "centres_mm")
         }
         return replace(self, outlines=outlines, parents=parents, depths=depths, **taken)
 
@@ -91,7 +93,9 @@ def loops_of(slices: Sequence[Sequence[Outline]], heights_mm: FloatArray) -> Loo
         corners[number] = _polygon(outline, outlines[0].frame)
     areas, centres = _measured(corners)
     parents, depths = _nested(levels, corners, areas)
-    return Loops(outlines, levels, heights_mm[levels], corners, parents, depths, areas, centres)
+    holes = np.array([each.hole for each in outlines], dtype=np.bool_)
+    at = heights_mm[levels]
+    return Loops(heights_mm, outlines, levels, at, holes, corners, parents, depths, areas, centres)
 
 
 def _polygon(outline: Outline, frame: Frame) -> FloatArray:

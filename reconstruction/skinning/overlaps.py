@@ -22,7 +22,7 @@ from numba import njit
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
 from reconstruction.skinning.loops import Loops
 
-_ROWS = 32  # across every loop
+_ROWS = 24  # across every loop
 _DIRECT, _AGREED, _COMMON = 0, 1, 2
 
 
@@ -72,18 +72,20 @@ def _sweep(
     """
     n, count = len(corners), corners.shape[1]
     shared, enclosed, owned = np.zeros((3, n, n + 1)), np.zeros(n), np.zeros(n)
-    lows, highs = np.empty(n), np.empty(n)
+    low, high = np.empty((n, 2)), np.empty((n, 2))
     for each in range(n):
-        lows[each], highs[each] = corners[each, :, 1].min(), corners[each, :, 1].max()
+        for k in range(2):
+            low[each, k], high[each, k] = corners[each, :, k].min(), corners[each, :, k].max()
     places, owners = np.empty(n * count), np.empty(n * count, np.int64)
-    inside = np.zeros(n, np.bool_)
+    inside, near = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
     for p in range(n):
-        step = (highs[p] - lows[p]) / _ROWS
+        for each in range(n):
+            near[each] = (low[each] <= high[p]).all() and (low[p] <= high[each]).all()
+        step = (high[p, 1] - low[p, 1]) / _ROWS
         own = (0, lower) if p < lower else (lower, n)
         other = (lower, n) if p < lower else (0, lower)
         for row in range(_ROWS):
-            y = lows[p] + (row + 0.5) * step
-            events = _cross(corners, lows, highs, y, places, owners)
+            events = _cross(corners, near, low[p, 1] + (row + 0.5) * step, places, owners)
             inside[:] = False
             for event in range(events - 1):
                 inside[owners[event]] = not inside[owners[event]]
@@ -122,17 +124,12 @@ def _share_out(
 
 @njit(cache=True)
 def _cross(
-    corners: FloatArray,
-    lows: FloatArray,
-    highs: FloatArray,
-    y: float,
-    places: FloatArray,
-    owners: IntArray,
+    corners: FloatArray, near: BoolArray, y: float, places: FloatArray, owners: IntArray
 ) -> int:
-    """Where a row crosses loops, sorted; how many places that are."""
+    """Where a row crosses loops that are near, sorted; how many places that are."""
     events = 0
     for each in range(len(corners)):
-        if not lows[each] < y < highs[each]:
+        if not near[each]:
             continue
         x0, y0 = corners[each, -1, 0], corners[each, -1, 1]
         for i in range(corners.shape[1]):

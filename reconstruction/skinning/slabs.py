@@ -21,6 +21,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
 from reconstruction.skinning.loops import AROUND, Loops
@@ -40,6 +41,15 @@ class Event:
     above: tuple[int, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class Slab:
+    """What happens between two slices, given by their places in the stack."""
+
+    lower: int
+    upper: int  # more than lower + 1 where slices were passed over
+    events: tuple[Event, ...]
+
+
 def events_between(
     loops: Loops, lower: IntArray, upper: IntArray, expected_mm: FloatArray
 ) -> tuple[Event, ...]:
@@ -54,7 +64,7 @@ def events_between(
     if len(lower) == len(upper) == 1 and overlaps.direct[0, 0] >= _STRONG:
         return (Event((int(lower[0]),), (int(upper[0]),)),)
     linked = _linked(overlaps, _Slab(loops, lower, upper), expected_mm)
-    return _gathered(loops, lower, upper, _bodies(linked))
+    return _gathered(loops, lower, upper, _number_bodies(linked))
 
 
 class _Slab:
@@ -136,23 +146,6 @@ def _nearness(slab: _Slab, expected: FloatArray) -> FloatArray:
     return np.where(alike & slab.same, 1.0 - away / np.maximum(reach, 1e-300), 0.0)
 
 
-def _bodies(linked: BoolArray) -> tuple[IntArray, IntArray]:
-    """Number the connected regions: of the lower slice (a + 1,), and of the upper (b + 1,)."""
-    below = np.arange(linked.shape[0])
-    above = np.full(linked.shape[1], -1)
-    for q in range(linked.shape[1]):
-        partners = np.flatnonzero(linked[:, q])
-        if not len(partners):
-            above[q] = len(below) + q  # a number of its own
-            continue
-        merged = np.isin(below, below[partners])
-        first = below[partners[0]]
-        above[np.isin(above, below[partners])] = first
-        below[merged] = first
-        above[q] = first
-    return below, above
-
-
 def _gathered(
     loops: Loops, lower: IntArray, upper: IntArray, bodies: tuple[IntArray, IntArray]
 ) -> tuple[Event, ...]:
@@ -165,3 +158,19 @@ def _gathered(
             parted = (outer, inner) if loops.holes[number] else (inner, outer)
             rims.setdefault(parted, ([], []))[side].append(int(number))
     return tuple(Event(tuple(below), tuple(above)) for below, above in rims.values())
+
+
+@njit(cache=True)
+def _number_bodies(linked: BoolArray) -> tuple[IntArray, IntArray]:
+    """Number the connected regions: of the lower slice (a + 1,), and of the upper (b + 1,)."""
+    a, b = linked.shape
+    body = np.arange(a + b)
+    changed = True
+    while changed:
+        changed = False
+        for p in range(a):
+            for q in range(b):
+                if linked[p, q] and body[p] != body[a + q]:
+                    body[p] = body[a + q] = min(body[p], body[a + q])
+                    changed = True
+    return body[:a], body[a:]

@@ -10,26 +10,17 @@ ends it. A thread is followed from end to end, or round. ::
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from reconstruction.arrays import FloatArray
 from reconstruction.skinning.branch import End, Ending
 from reconstruction.skinning.loops import Loops
-from reconstruction.skinning.slabs import Event
+from reconstruction.skinning.slabs import Event, Slab
 
 DOWN, UP = 0, 1
 Side = tuple[int, int]  # number of a loop, DOWN or UP
-
-
-@dataclass(frozen=True, slots=True)
-class Slab:
-    """Two neighbouring slices that hold contours, by their places in the stack, and the events."""
-
-    lower: int
-    upper: int  # more than lower + 1 where slices between them are empty
-    events: tuple[Event, ...]
 
 
 @dataclass(slots=True)
@@ -78,13 +69,13 @@ class Chain:
     ends: tuple[End, End] | None  # None: it runs round
 
 
-def tie_threads(loops: Loops, slabs: list[Slab], stack_mm: FloatArray) -> Threads:
-    """Join the contours' sides; slices at heights (s,). First and last slice: nothing is known."""
+def tie_threads(loops: Loops, slabs: Sequence[Slab]) -> Threads:
+    """Join the sides of the contours that events are about; the stack's ends are unseen."""
     threads = Threads()
     for slab in slabs:
         for event in slab.events:
-            _enter(threads, event, slab, loops, stack_mm)
-    for number in range(len(loops)):
+            _enter(threads, event, slab, loops)
+    for number in {number for number, _ in (*threads.follows, *threads.ends)}:
         for side in ((number, DOWN), (number, UP)):
             if side not in threads.follows and side not in threads.ends:
                 threads.ends[side] = End(Ending.UNSEEN, float(loops.heights_mm[number]))
@@ -92,15 +83,15 @@ def tie_threads(loops: Loops, slabs: list[Slab], stack_mm: FloatArray) -> Thread
     return threads
 
 
-def _enter(threads: Threads, event: Event, slab: Slab, loops: Loops, stack_mm: FloatArray) -> None:
+def _enter(threads: Threads, event: Event, slab: Slab, loops: Loops) -> None:
     sides = [(each, UP) for each in event.below] + [(each, DOWN) for each in event.above]
     if len(sides) == 1:
         beyond = slab.lower + 1 if event.below else slab.upper - 1
-        threads.ends[sides[0]] = End(Ending.CLOSED, float(stack_mm[beyond]))
+        threads.ends[sides[0]] = End(Ending.CLOSED, float(loops.stack_mm[beyond]))
     elif len(sides) == 2 and _is_plain(event, loops):
         threads.tie(*sides)
     else:
-        height_mm = 0.5 * float(stack_mm[slab.lower] + stack_mm[slab.upper])
+        height_mm = 0.5 * float(loops.stack_mm[slab.lower] + loops.stack_mm[slab.upper])
         threads.ends.update(dict.fromkeys(sides, threads.new_joint(height_mm)))
 
 
@@ -168,7 +159,7 @@ def chains_of(threads: Threads, loops: Loops) -> list[Chain]:
     ends = [side for each in outer_first for side in ((each, DOWN), (each, UP))]
     begins = [side for side in ends if side in threads.ends]
     for begin in [*begins, *((each, DOWN) for each in outer_first)]:
-        if seen[begin[0]]:
+        if seen[begin[0]] or begin not in threads.follows | threads.ends:
             continue
         walk = threads.onward((begin[0], 1 - begin[1]))
         numbers = [each for each, _ in walk]

@@ -99,6 +99,29 @@ def as_outlines(
     ]
 
 
+def cut_mesh(vertices: FloatArray, faces: IntArray, height_mm: float) -> list[FloatArray]:
+    """The polygons in which a closed mesh meets the plane z = height, exactly."""
+    above = vertices[:, 2] > height_mm
+    crossed = faces[above[faces].any(axis=1) & ~above[faces].all(axis=1)]
+    following: dict[tuple[int, int], tuple[int, int]] = {}
+    for face in crossed.tolist():
+        sides = [(face[k], face[(k + 1) % 3]) for k in range(3)]
+        (up,) = [each for each in sides if above[each[1]] and not above[each[0]]]
+        (down,) = [each for each in sides if above[each[0]] and not above[each[1]]]
+        following[(min(down), max(down))] = (min(up), max(up))
+    polygons = []
+    while following:
+        start, edge = following.popitem()
+        walk = [start]
+        while edge != start:
+            walk.append(edge)
+            edge = following.pop(edge)
+        a, b = vertices[np.array(walk)].transpose(1, 0, 2)
+        share = (height_mm - a[:, 2]) / (b[:, 2] - a[:, 2])
+        polygons.append(a[:, :2] + share[:, None] * (b - a)[:, :2])
+    return [each for each in polygons if len(each) > 2]
+
+
 # -- solids --------------------------------------------------------------------------------------
 
 
