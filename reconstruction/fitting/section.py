@@ -84,21 +84,28 @@ def require_curves(found: SectionFit, count: int) -> None:
         )
 
 
-def resolve_section(points_mm: ArrayLike, *, exact: Exact = Exact.AUTO) -> SectionFit:
-    """Do what `fit_section` does, and say what became of every point; no curve is no error."""
+def resolve_section(
+    points_mm: ArrayLike, *, exact: Exact = Exact.AUTO, heights_mm: FloatArray | None = None
+) -> SectionFit:
+    """Do what `fit_section` does, and say what became of every point; no curve is no error.
+
+    `heights_mm` (n,) of the points above the plane go into the curves' moments.
+    """
     points, away_mm = _checked(points_mm)
     if away_mm is None:
-        return _resolved(points, exact)
-    return _moved(_resolved(points - away_mm, exact), away_mm)
+        return _resolved(points, exact, heights_mm)
+    return _moved(_resolved(points - away_mm, exact, heights_mm), away_mm)
 
 
-def _resolved(points: FloatArray, exact: Exact) -> SectionFit:
+def _resolved(points: FloatArray, exact: Exact, heights_mm: FloatArray | None) -> SectionFit:
     topology = find_chains(points)
     groups = _grouped(points, topology)
+    heights = _heights_grouped(heights_mm, topology)
     failures: list[str] = []
     fitted: dict[int, FittedCurve] = {}
     for number in _by_size(topology.chains):
-        curve = _fitted(groups[number], topology.chains[number], exact, failures)
+        chain = topology.chains[number]
+        curve = _fitted(groups[number], heights[number], chain, exact, failures)
         if curve is not None:
             fitted[number] = curve
     return SectionFit(
@@ -168,6 +175,19 @@ def _grouped(points: FloatArray, topology: Topology) -> list[FloatArray]:
     return [grouped[a:b] for a, b in pairwise(borders)]
 
 
+def _heights_grouped(
+    heights_mm: FloatArray | None, topology: Topology
+) -> list[FloatArray] | list[None]:
+    """The heights of each chain's points, in the order of `_grouped`."""
+    if heights_mm is None:
+        return [None] * len(topology.chains)
+    of = topology.chain_of_point
+    heights = np.asarray(heights_mm, dtype=np.float64)
+    if heights.shape != of.shape:
+        raise ValueError(f"heights_mm: shape {of.shape} expected, got {heights.shape}")
+    return [heights[of == number] for number in range(len(topology.chains))]
+
+
 def _by_size(chains: tuple[Chain, ...]) -> list[int]:
     """Loops by area, then open runs by length, the largest first."""
 
@@ -184,12 +204,16 @@ def _area_mm2(chain: Chain) -> float:
 
 
 def _fitted(
-    points: FloatArray, chain: Chain, exact: Exact, failures: list[str]
+    points: FloatArray,
+    heights_mm: FloatArray | None,
+    chain: Chain,
+    exact: Exact,
+    failures: list[str],
 ) -> FittedCurve | None:
     """The curve of a chain; where it has none, why goes to `failures`: the others are kept."""
     try:
         with np.errstate(all="ignore"):  # what is not finite is refused below
-            curve = fit_chain(points, chain, exact=exact)
+            curve = fit_chain(points, chain, exact=exact, heights_mm=heights_mm)
     except (ReconstructionError, ValueError, ArithmeticError) as why:
         failures.append(str(why))
         return None
