@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from reconstruction.arrays import FloatArray, IntArray, frozen
+from reconstruction.arrays import BoolArray, FloatArray, IntArray, frozen
 from reconstruction.skinning.blocks import Blocks
 from reconstruction.skinning.net import Basis, Net, basis_at, derivatives_at, greville, unit_normals
 
@@ -135,7 +135,7 @@ def _third_rows(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _thirds(
-    control: FloatArray, directions: FloatArray, place: IntArray, apex: IntArray,
+    control: FloatArray, directions: FloatArray, place: IntArray, apex: BoolArray,
     firsts: IntArray, thirds: FloatArray, *, along_u: bool,
 ) -> tuple[IntArray, FloatArray, FloatArray]:  # fmt: skip
     count_u, count_v = control.shape[:2]
@@ -218,7 +218,7 @@ def _enter(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _row_at(
-    directions: FloatArray, place: IntArray, apex: IntArray, first_u: int, values_u: FloatArray,
+    directions: FloatArray, place: IntArray, apex: BoolArray, first_u: int, values_u: FloatArray,
     first_v: int, values_v: FloatArray, normal: FloatArray, numbers: IntArray, slopes: FloatArray,
 ) -> int:  # fmt: skip
     """How the surface moves along a normal with each unknown; returns how many take part."""
@@ -245,7 +245,7 @@ def _row_at(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _add_data(
     diagonal: FloatArray, lower: FloatArray, right: FloatArray, directions: FloatArray,
-    place: IntArray, apex: IntArray, first_u: IntArray, values_u: FloatArray, first_v: IntArray,
+    place: IntArray, apex: BoolArray, first_u: IntArray, values_u: FloatArray, first_v: IntArray,
     values_v: FloatArray, normals: FloatArray, distances: FloatArray, weights: FloatArray,
 ) -> None:  # fmt: skip
     size = diagonal.shape[1]
@@ -396,7 +396,7 @@ def variances_across(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _variances_at(
     diagonal: FloatArray, lower: FloatArray, directions: FloatArray, place: IntArray,
-    apex: IntArray, first_u: IntArray, values_u: FloatArray, first_v: IntArray,
+    apex: BoolArray, first_u: IntArray, values_u: FloatArray, first_v: IntArray,
     values_v: FloatArray, normals: FloatArray,
 ) -> FloatArray:  # fmt: skip
     size = diagonal.shape[1]

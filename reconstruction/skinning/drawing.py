@@ -12,7 +12,7 @@ import numpy as np
 from reconstruction.errors import TooFewPoints
 from reconstruction.fitting.curve import Exact
 from reconstruction.fitting.section import SectionFit, resolve_section
-from reconstruction.skinning.outlines import Outline, lifted
+from reconstruction.skinning.outlines import Outline, outline_of
 from reconstruction.slices import Frame, Slice
 
 
@@ -46,14 +46,7 @@ def draw_outlines(piece: Slice, *, exact: Exact = Exact.AUTO) -> SliceOutlines:
     except TooFewPoints as few:
         return SliceOutlines(piece.index, piece.frame, (), (), len(piece.points_mm), 0, (str(few),))
     drawn = [
-        Outline(
-            piece.index,
-            piece.frame,
-            curve,
-            curve.closed and depth % 2 == 1,
-            lifted(curve.cells, piece.frame),
-            curve.u,
-        )
+        outline_of(piece.index, piece.frame, curve, hole=curve.closed and depth % 2 == 1)
         for curve, depth in zip(found.curves, found.depths, strict=True)
     ]
     return SliceOutlines(

@@ -38,7 +38,12 @@ class Brim:
 
     def row_mm(self, places_mm: FloatArray, *, last: int) -> FloatArray:
         """A row (m, 3) in the plane, beyond the outermost of rows (k, m, 3) the way they run."""
-        edge, inner = (places_mm[-1], places_mm[-2]) if last else (places_mm[0], places_mm[1])
+        edge = places_mm[-1 if last else 0]
+        if len(places_mm) < 2:
+            row = np.array(edge)
+            self.press(row)
+            return row
+        inner = places_mm[-2 if last else 1]
         way = edge - inner
         rise = float((way @ self.axis).mean())
         rest = self.height_mm - float((edge @ self.axis).mean())
@@ -81,8 +86,10 @@ def brim_or_apex(outlines: Sequence[Outline], end: End, *, last: bool) -> Brim |
     near = list(outlines[-_LOOK:])[::-1] if last else list(outlines[:_LOOK])
     edge = near[0]
     axis = edge.frame.axes[2]
-    if end.ending is Ending.JOINED or len(near) < 2:
+    if end.ending is Ending.JOINED:
         return Brim(end.height_mm, axis)
+    if len(near) < 2:
+        return Brim(0.5 * (edge.height_mm + end.height_mm), axis)
     step = edge.height_mm - near[1].height_mm
     reach = end.height_mm - edge.height_mm if end.ending is Ending.CLOSED else step
     apex = _apex(near, reach)

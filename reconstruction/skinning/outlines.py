@@ -56,7 +56,9 @@ class Moments:
 
     @staticmethod
     def together(parts: Sequence[Moments]) -> Moments:
-        """All cells of several."""
+        """All cells of several, or of none."""
+        if not parts:
+            return Moments(np.empty(0), np.empty((0, 3)), np.empty((0, 3, 3)))
         columns = [
             np.concatenate([getattr(part, name) for part in parts])
             for name in ("counts", "means_mm", "covariances_mm2")

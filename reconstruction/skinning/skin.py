@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from reconstruction.arrays import BoolArray, FloatArray, IntArray
 from reconstruction.skinning.aligning import Stations, align
 from reconstruction.skinning.assembly import variances_across
 from reconstruction.skinning.branch import Branch
@@ -27,6 +28,9 @@ _STATIONS_A_SPAN = 3
 _LEAST_STATIONS = 96
 _REACH = 6.0  # standard deviations from the first net: loose cells farther off are not its
 _BOXES = 64
+_FEWEST = 4  # outlines
+_WILD = 8.0  # times as far as is usual from the middle between its neighbours
+_WILD_STEPS = 1.5  # and of the usual way to the next outline
 _EXACT = 1e-7  # of a part's size: scatter below it is none
 
 
@@ -96,22 +100,50 @@ def skin_branch(branch: Branch, loose: Moments | None = None) -> Skin:
     loose
         Cells that lie on no outline; those near the surface are used, the others left alone.
     """
+    branch, stations, wild = _aligned(branch)
     outlines = branch.outlines
     spans = (_spans_around(branch), _spans_along(branch))
-    stations = align(
-        outlines, max(_STATIONS_A_SPAN * spans[0], _LEAST_STATIONS), cyclic=branch.cyclic
-    )
+    loose = Moments.together([each for each in (loose, *wild) if each is not None])
     brims = _brims(branch)
     laid = lay_net(outlines, stations, brims, spans)
     moments = Moments.together([outline.moments for outline in outlines])
     noise = _noise(branch)
     u, v = laid.u, laid.v
-    if loose is not None and len(loose):
+    if len(loose):
         near, near_u, near_v = nearby(laid.net, loose, _REACH * math.sqrt(noise.level_mm2))
         moments = Moments.together([moments, near])
         u, v = np.concatenate([u, near_u]), np.concatenate([v, near_v])
     fit = fit_net(laid.net, moments, u, v, noise, rims=_rims(brims))
     return Skin(branch, brims, laid, stations, moments, fit)
+
+
+def _aligned(branch: Branch) -> tuple[Branch, Stations, list[Moments]]:
+    """Align outlines; those that stand out from both neighbours are left out, their cells kept."""
+    wild: list[Moments] = []
+    while True:
+        count = max(_STATIONS_A_SPAN * _spans_around(branch), _LEAST_STATIONS)
+        stations = align(branch.outlines, count, cyclic=branch.cyclic)
+        worst = _standing_out(stations, cyclic=branch.cyclic)
+        if worst is None or len(branch.outlines) <= _FEWEST:
+            return branch, stations, wild
+        wild.append(branch.outlines[worst].moments)
+        kept = branch.outlines[:worst] + branch.outlines[worst + 1 :]
+        branch = replace(branch, outlines=kept)
+
+
+def _standing_out(stations: Stations, *, cyclic: bool) -> int | None:
+    """The outline farthest from the middle between its neighbours, if that is far."""
+    places = stations.places_mm
+    middles = 0.5 * (np.roll(places, 1, axis=0) + np.roll(places, -1, axis=0))
+    off = np.linalg.norm(places - middles, axis=2).max(axis=1)
+    if not cyclic:
+        off[[0, -1]] = 0.0
+    # Beside an outline that stands out its neighbours do, half as much.
+    usual = float(np.median(off))
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=2).max(axis=1)
+    worst = int(np.argmax(off))
+    far = off[worst] > max(_WILD * usual, _WILD_STEPS * float(np.median(steps)))
+    return worst if far else None
 
 
 def _spans_around(branch: Branch) -> int:

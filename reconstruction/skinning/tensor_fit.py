@@ -39,8 +39,9 @@ from reconstruction.skinning.noise import Noise
 from reconstruction.skinning.outlines import Moments
 from reconstruction.skinning.stiffness import Lattice
 
-_ROUNDS = 20
+_ROUNDS = 12
 _RELAID = (2, 5)  # rounds after which v is made to run evenly again
+_LEAST_POINTS = 12.0
 _STILL = 0.05  # standard deviations: a surface that moves less stands still
 _RIDGE = 1e-12  # of the largest pivot
 _FULL = 4.0  # standard deviations up to which a cell counts in full ...
@@ -150,6 +151,8 @@ def _round(
         basis_at(feet.v, net.knots_v, 0, closed=net.closed_v),
     )
     held = moments.counts * weights
+    if not float(held.sum()) > _LEAST_POINTS:
+        return None
     data = held / (variances * noise.inflation)
     add_data(system, net, unknowns, at, feet.normals, feet.distances_mm, data)
     rows = stiffness_rows(net, unknowns)
