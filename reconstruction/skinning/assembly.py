@@ -120,13 +120,13 @@ def _third_rows(
     """A row for every span in one direction and every control point of the other."""
     closed = net.closed_u if along_u else net.closed_v
     spans = int(net.spans[0] if along_u else net.spans[1])
-    basis = basis_at(np.arange(spans) + 0.5, knots, 3, closed=closed)
+    middles = np.arange(spans, dtype=np.float64) + 0.5
+    basis = basis_at(middles, knots, 3, closed=closed)
     thirds = basis.values[:, 3]
     numbers, slopes, values = _thirds(
         control, unknowns.directions, unknowns.place, net.apex, basis.first, thirds, along_u=along_u
     )
     u, v = _grevilles(net)
-    middles = np.arange(spans) + 0.5
     at_u, at_v = np.meshgrid(middles, v, indexing="ij") if along_u else np.meshgrid(
         u, middles, indexing="ij"
     )  # fmt: skip

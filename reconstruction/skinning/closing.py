@@ -73,7 +73,7 @@ def closed_mesh(skin: Skin, tolerance_mm: float) -> Mesh:
     lines = choose_lines(net, tolerance_mm)
     rings = evaluate_surface(net.surface(), lines.u, lines.v).swapaxes(0, 1)
     marks = skin.synthetic(*np.meshgrid(lines.u, lines.v, indexing="ij")).T
-    numbers, vertices, synthetic = _numbered(rings, marks, net.apex[[0, -1]] & ~net.closed_v)
+    numbers, vertices, synthetic = _numbered(rings, marks, net.apex)
     faces = [_band(numbers[k], numbers[k + 1]) for k in range(len(numbers) - 1)]
     if net.closed_v or skin.ring_ended:
         faces.append(_band(numbers[-1], numbers[0]))
@@ -94,13 +94,13 @@ def closed_mesh(skin: Skin, tolerance_mm: float) -> Mesh:
 
 
 def _numbered(
-    rings: FloatArray, marks: BoolArray, apexes: BoolArray
+    rings: FloatArray, marks: BoolArray, apex: BoolArray
 ) -> tuple[list[IntArray], FloatArray, BoolArray]:
     """Vertex numbers of every ring; a ring that is one point is one vertex."""
     numbers, vertices, synthetic = [], [], []
     count = 0
     for k, ring in enumerate(rings):
-        pointed = (k == 0 and apexes[0]) or (k == len(rings) - 1 and apexes[1])
+        pointed = (k == 0 and apex[0]) or (k == len(rings) - 1 and apex[-1])
         if pointed:
             numbers.append(np.full(len(ring), count))
             vertices.append(ring[:1])

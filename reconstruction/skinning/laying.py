@@ -180,7 +180,8 @@ def _design(t: FloatArray, knots: FloatArray, *, closed: bool) -> tuple[FloatArr
     design = np.zeros((len(t), count))
     for k in range(4):
         np.add.at(design, (np.arange(len(t)), (basis.first + k) % count), basis.values[:, 0, k])
-    thirds = basis_at(np.arange(spans) + 0.5, knots, 3, closed=closed)
+    middles = np.arange(spans, dtype=np.float64) + 0.5
+    thirds = basis_at(middles, knots, 3, closed=closed)
     bends = np.zeros((spans, count))
     for k in range(4):
         np.add.at(bends, (np.arange(spans), (thirds.first + k) % count), thirds.values[:, 3, k])

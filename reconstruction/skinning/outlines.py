@@ -45,7 +45,7 @@ class Moments:
 
     def merged(self, groups: IntArray, count: int) -> Moments:
         """Cells of equal group (m,) as one, exactly; groups without a cell are left out."""
-        counts = np.bincount(groups, self.counts, count)
+        counts = np.asarray(np.bincount(groups, self.counts, count), dtype=np.float64)
         used = counts > 0.0
         shares = self.counts / np.maximum(counts[groups], 1e-300)
         means = _sums(groups, shares[:, None] * self.means_mm, count)

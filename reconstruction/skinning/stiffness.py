@@ -95,9 +95,9 @@ class Lattice:
         """One step towards the likelihood's maximum, held by the ties between stations."""
         numbers, weights = self.hats(rows)
         size = self.count
-        left = np.bincount(numbers.ravel(), (weights * free[:, None]).ravel(), size)
+        given = np.bincount(numbers.ravel(), (weights * free[:, None]).ravel(), size)
         bent = np.bincount(numbers.ravel(), (weights * forms[:, None]).ravel(), size)
-        left = np.maximum(left, 0.0) + _FAINT
+        left = np.maximum(given, 0.0) + _FAINT
         wanted = np.clip(np.log(left / (bent + _FAINT)), -_STEP, _STEP)
         gradient = 0.5 * left * wanted - self.ties @ logs
         step = np.linalg.solve(np.diag(0.5 * left) + self.ties, gradient)

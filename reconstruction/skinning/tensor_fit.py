@@ -15,6 +15,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from reconstruction.arrays import FloatArray, frozen
 from reconstruction.errors import Unfittable
@@ -43,6 +44,7 @@ _ROUNDS = 12
 _RELAID = (2, 5)  # rounds after which v is made to run evenly again
 _LEAST_POINTS = 12.0
 _STILL = 0.05  # standard deviations: a surface that moves less stands still
+_LEASH = 9.0  # variances of a point, and a span, that a control point may well go from its start
 _RIDGE = 1e-12  # of the largest pivot
 _FULL = 4.0  # standard deviations up to which a cell counts in full ...
 _NONE = 8.0  # ... and from which it does not count
@@ -82,6 +84,7 @@ class TensorFit:
 @dataclass(frozen=True, slots=True, eq=False)
 class _State:
     net: Net
+    start_mm: FloatArray  # control points that the first round began with
     u: FloatArray
     v: FloatArray
     noise: Noise
@@ -108,17 +111,17 @@ def fit_net(
     lattice = Lattice.over(net)
     usual = _usual_log_stiffness(net, moments, noise)
     start = np.full(lattice.count, usual)
-    state = _State(net, u, v, noise, (start, start.copy()))
+    state = _State(net, net.control_mm, u, v, noise, (start, start.copy()))
     fit: TensorFit | None = None
     for turn in range(_ROUNDS):
-        found = _round(state, moments, lattice, rims, turn)
+        with threadpool_limits(1, "blas"):  # blocks are small: threads would only wait
+            found = _round(state, moments, lattice, rims, turn)
         if found is None:
             break
         fit, state, moved = found
         if turn in _RELAID:
-            state = replace(
-                state, **dict(zip(("net", "v"), relaid(state.net, state.v), strict=True))
-            )
+            again, v = relaid(state.net, state.v)
+            state = replace(state, net=again, start_mm=again.control_mm, v=v)
         if moved < _STILL and turn > 1:
             break
     if fit is None:
@@ -162,6 +165,7 @@ def _round(
     for last, rim in enumerate(rims):
         if rim.smooth:
             add_tangency(system, net, unknowns, last=bool(last))
+    _leash(system, net, unknowns, state.start_mm, _LEASH * noise.level_mm2 + _span_mm(net) ** 2)
     _hold_the_rest(system[0])
     factor = factorise(system[0])
     if factor is None:
@@ -183,7 +187,11 @@ def _round(
         net.moved(control), unknowns, feet, weights, fresh, stiffness, edf, inverse,
         float((data * squares).sum()), turn + 1,
     )  # fmt: skip
-    return fit, _State(fit.net, feet.u, feet.v, fresh, stiffness), still
+    return (
+        fit,
+        replace(state, net=fit.net, u=feet.u, v=feet.v, noise=fresh, stiffness=stiffness),
+        still,
+    )
 
 
 def _robust(feet: Feet, moments: Moments, noise: Noise, variances: FloatArray) -> FloatArray:
@@ -192,6 +200,23 @@ def _robust(feet: Feet, moments: Moments, noise: Noise, variances: FloatArray) -
     z = np.abs(feet.distances_mm) / np.maximum(spread, 1e-300)
     share = np.clip((_NONE - z) / (_NONE - _FULL), 0.0, 1.0)
     return np.asarray(share * share * (3.0 - 2.0 * share))
+
+
+def _leash(
+    system: tuple[Blocks, FloatArray],
+    net: Net,
+    unknowns: Unknowns,
+    start_mm: FloatArray,
+    variance_mm2: float,
+) -> None:
+    """A weak prior about where the control points began: what nothing else holds stays there."""
+    matrix, right = system
+    blocks, size = matrix.diagonal.shape[:2]
+    flat = matrix.diagonal.reshape(blocks, size * size)[:, :: size + 1]
+    flat[flat > 0.0] += 1.0 / variance_mm2
+    away = ((net.control_mm - start_mm) * unknowns.directions).sum(axis=2)
+    numbers = unknowns.place[None, :] * unknowns.width + np.arange(unknowns.width)[:, None]
+    np.add.at(right.reshape(-1), numbers.ravel(), -away.ravel() / variance_mm2)
 
 
 def _hold_the_rest(matrix: Blocks) -> None:
@@ -207,7 +232,7 @@ def _free_unknowns(net: Net) -> int:
     """How many unknowns a net has."""
     count_u, count_v = net.control_mm.shape[:2]
     apexes = int(net.apex.sum())
-    return count_u * (count_v - apexes) + 3 * apexes
+    return int(count_u * (count_v - apexes) + 3 * apexes)
 
 
 def _diagonal(inverse: Blocks) -> FloatArray:
