@@ -14,6 +14,7 @@ _SAME = 1e-9  # of the size: closer heights or contours are one and the same
 _FAR = 8.0  # times what is usual in the branch
 _NOTABLE = 0.03  # of a contour's radius: less is no fault
 _GROSS = 0.5  # of a contour's radius: the neighbours alone are the better witnesses
+_WIDE = 2.5  # times the usual scatter across a contour
 _LEAST_USUAL = 5  # contours, to say what is usual
 _ARC = 8  # corners of a polygon looked at together
 
@@ -29,18 +30,9 @@ class Doubt:
         return f"slice {self.slice_index}: {self.what}"
 
 
-def index_of(loops: Loops, level: int) -> int:
-    """The index of a slice; of an empty one, counted on from the last one below that is not."""
-    before = int(np.searchsorted(loops.levels, level, side="right")) - 1
-    if before < 0:
-        return level
-    return loops.outlines[before].slice_index + level - int(loops.levels[before])
-
-
 def unusable_loops(loops: Loops, doubts: list[Doubt]) -> BoolArray:
-    """Loops that cannot be part of a stack: at the height of another slice, or without a host."""
+    """Loops that bound nothing: a hole in no outline, an outline in another without a hole."""
     unusable = np.zeros(len(loops), dtype=np.bool_)
-    span = float(np.ptp(loops.heights_mm)) if len(loops) else 0.0
     for number, outline in enumerate(loops.outlines):
         parent = int(loops.parents[number])
         host = parent == AROUND or loops.outlines[parent].hole
@@ -49,17 +41,18 @@ def unusable_loops(loops: Loops, doubts: list[Doubt]) -> BoolArray:
             what = f"{'a hole' if outline.hole else 'an outline'} {loops.across(number)} {where}"
             doubts.append(Doubt(outline.slice_index, f"{what}; left out"))
             unusable[number] = True
-    levels, first = np.unique(loops.levels, return_index=True)
-    rises = np.diff(loops.heights_mm[first], prepend=-np.inf)
-    for level in levels[rises <= _SAME * span]:
-        doubts.append(Doubt(index_of(loops, int(level)), "lies as high as the one below; left out"))
-        unusable |= loops.levels == level
     return unusable
 
 
 def crossings(loops: Loops) -> BoolArray:
     """Whether a loop crosses itself, and whether it crosses an earlier one of its slice, (l, 2)."""
     return np.asarray(_crossing(loops.levels, loops.corners_mm))
+
+
+def scattered(loops: Loops) -> BoolArray:
+    """Which contours' points scatter far more than usual, (l,): two may have run into one."""
+    sigma = np.array([each.fitted.sigma_mm for each in loops.outlines])
+    return np.asarray(sigma > _WIDE * np.median(sigma)) if len(sigma) else np.zeros(0, np.bool_)
 
 
 def doubtful_shapes(loops: Loops, crossing: BoolArray) -> list[Doubt]:
@@ -69,7 +62,7 @@ def doubtful_shapes(loops: Loops, crossing: BoolArray) -> list[Doubt]:
         whom = "itself" if crossing[number, 0] else "another one"
         what = f"a contour {loops.across(int(number))} crosses {whom}"
         doubts.append(Doubt(loops.outlines[number].slice_index, what))
-    repeated = [index_of(loops, level) for level in _repeated(loops)]
+    repeated = [int(loops.indices[level]) for level in _repeated(loops)]
     if repeated:
         many = f" (as are {len(repeated) - 1} more)" if len(repeated) > 1 else ""
         what = f"its contours are those of the slice below, exactly{many}; was it recorded twice?"

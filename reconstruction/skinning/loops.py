@@ -31,6 +31,7 @@ class Loops:
     """The closed outlines of a stack, slice by slice, each as a polygon."""
 
     stack_mm: FloatArray  # (s,), heights of all slices, of empty ones too
+    indices: IntArray  # (s,), of all slices
     outlines: tuple[Outline, ...]
     levels: IntArray  # (l,): which of the slices given
     heights_mm: FloatArray  # (l,)
@@ -42,7 +43,7 @@ class Loops:
     centres_mm: FloatArray  # (l, 2), of the areas
 
     def __post_init__(self) -> None:
-        for name in ("levels", "parents", "depths"):
+        for name in ("indices", "levels", "parents", "depths"):
             object.__setattr__(self, name, frozen(getattr(self, name), np.int64))
         object.__setattr__(self, "holes", frozen(self.holes, np.bool_))
         for name in ("stack_mm", "heights_mm", "corners_mm", "areas_mm2", "centres_mm"):
@@ -77,8 +78,10 @@ class Loops:
         return replace(self, outlines=outlines, parents=parents, depths=depths, **taken)
 
 
-def loops_of(slices: Sequence[Sequence[Outline]], heights_mm: FloatArray) -> Loops:
-    """Sample closed outlines; slices at heights (s,).
+def loops_of(
+    slices: Sequence[Sequence[Outline]], heights_mm: FloatArray, indices: IntArray
+) -> Loops:
+    """Sample closed outlines; slices at heights (s,), with indices (s,) to call them by.
 
     Raises
     ------
@@ -95,7 +98,9 @@ def loops_of(slices: Sequence[Sequence[Outline]], heights_mm: FloatArray) -> Loo
     parents, depths = _nested(levels, corners, areas)
     holes = np.array([each.hole for each in outlines], dtype=np.bool_)
     at = heights_mm[levels]
-    return Loops(heights_mm, outlines, levels, at, holes, corners, parents, depths, areas, centres)
+    return Loops(
+        heights_mm, indices, outlines, levels, at, holes, corners, parents, depths, areas, centres
+    )
 
 
 def _polygon(outline: Outline, frame: Frame) -> FloatArray:

@@ -37,6 +37,7 @@ def outline(
     index: int = 0,
     hole: bool = False,
     axes: FloatArray | None = None,
+    sigma_mm: float = 0.0,
 ) -> Outline:
     """A closed polygon (n, 2) as a section of degree 1, each corner a cell of one point."""
     corners = np.asarray(corners_mm, dtype=np.float64)
@@ -46,10 +47,24 @@ def outline(
     curve = Curve(1, np.arange(-1.0, count + 2.0) / count, corners, np.ones(count), periodic=True)
     cells, u = cells_of_points(corners, np.zeros(count)), np.arange(count) / count
     fitted = FittedCurve(
-        curve, "free", 0.0, 1.0, 1.0, 0.0, 0.0, count, 0, np.zeros(2), (), (), False, cells, u
+        curve=curve,
+        kind="free",
+        sigma_mm=sigma_mm,
+        edf=1.0,
+        inflation=1.0,
+        residual_rms_mm=sigma_mm,
+        residual_max_mm=sigma_mm,
+        points_used=count,
+        outliers=0,
+        deviations_mm=np.zeros(2),
+        gaps=(),
+        creases=(),
+        ambiguous=False,
+        cells=cells,
+        u=u,
     )
-    turned = np.eye(3) if axes is None else axes
-    frame = Frame(height_mm * turned[2], turned)
+    rows = np.eye(3) if axes is None else axes
+    frame = Frame(height_mm * rows[2], rows)
     return Outline(index, frame, fitted, hole, lifted(cells, frame), u)
 
 
@@ -182,6 +197,10 @@ def union(*solids: Solid) -> Solid:
 
 def without(solid: Solid, *holes: Solid) -> Solid:
     return lambda x, y, z: np.maximum.reduce([solid(x, y, z), *(-each(x, y, z) for each in holes)])
+
+
+CUP: Solid = without(pillar(15, -20, 20), pillar(12, -15, 30))
+MUG: Solid = union(CUP, without(torus(10, 2, "x", (0, 15, 0)), pillar(13, -30, 30)))  # upright
 
 
 # -- the stand-in --------------------------------------------------------------------------------
