@@ -19,7 +19,10 @@ from reconstruction.skinning.outlines import Outline
 
 _TABLE = 1024  # places of an outline, evenly along it
 _FINE = 4096  # places from which arc length is told
-_SWEEPS = 120
+_SHAPE = 16.0  # how much more the distance from the middle counts than the place
+_CERTAIN = 20.0  # variances of an outline: less variation around says nothing
+_SLOW = 24  # stations of the shortest wave of uneven spacing
+_SWEEPS = 24
 _EVEN = 0.5  # pull towards even spacing, against that of the neighbouring outlines
 _HASTE = 0.4
 _DENSER = 0.35  # of an even step: stations never come nearer
@@ -62,9 +65,10 @@ def align(outlines: Sequence[Outline], count: int, *, cyclic: bool = False) -> S
         tables[k], shares = _evenly(outline)
         cell_shares.append(shares)
     axes = outlines[0].frame.axes[:2]
-    starts = _seams(tables @ axes.T)
+    doubts = np.array([float((each.fitted.deviations_mm**2).mean()) for each in outlines])
+    starts = _seams(tables @ axes.T, doubts)
     shares = starts[:, None] + np.arange(count) / count
-    shares = _slide(tables, shares, _SWEEPS, cyclic=cyclic)
+    shares = _calmed(_slide(tables, shares, _SWEEPS, cyclic=cyclic))
     return Stations(_places(tables, shares), shares, tuple(cell_shares))
 
 
@@ -88,16 +92,37 @@ def _area(planar: FloatArray) -> float:
     return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
 
 
-def _seams(planar: FloatArray) -> FloatArray:
-    """Where each outline (k, table, 2) begins, as a share of its length."""
+def _seams(planar: FloatArray, doubts_mm2: FloatArray) -> FloatArray:
+    """Where each outline (k, table, 2) begins, as a share of its length.
+
+    Nearness holds the seam where nothing stands out; the distance from the middle, which turns with
+    the part, lets it follow lobes and corners that twist, as far as it is more than the outlines'
+    own uncertainty (k,).
+    """
     rings = planar[..., 0] + 1j * planar[..., 1]
-    spectra = np.fft.fft(rings - rings.mean(axis=1, keepdims=True), axis=1)
+    arms = rings - rings.mean(axis=1, keepdims=True)
+    spectra, shapes = np.fft.fft(arms, axis=1), np.fft.fft(np.abs(arms), axis=1)
     starts = np.zeros(len(rings))
+    told = np.clip(1.0 - _CERTAIN * doubts_mm2 / np.maximum(np.abs(arms).var(axis=1), 1e-300), 0, 1)
     for k in range(1, len(rings)):
         overlap = np.fft.ifft(spectra[k] * np.conj(spectra[k - 1])).real
+        shape = _SHAPE * min(told[k], told[k - 1])
+        overlap += shape * np.fft.ifft(shapes[k] * np.conj(shapes[k - 1])).real
         starts[k] = (starts[k - 1] + int(np.argmax(overlap)) / _TABLE) % 1.0
     # The same turn, without jumps of whole turns.
     return np.asarray(np.unwrap(starts, period=1.0))
+
+
+def _calmed(shares: FloatArray) -> FloatArray:
+    """Shares (k, m) whose spacing varies slowly around: what the outlines' noise added is left out.
+
+    Uneven spacing would look to the fit like a bend.
+    """
+    count = shares.shape[1]
+    even = np.arange(count) / count
+    waves = np.fft.rfft(shares - even, axis=1)
+    waves[:, max(count // _SLOW, 3) :] = 0.0
+    return even + np.fft.irfft(waves, count, axis=1)
 
 
 def _places(tables: FloatArray, shares: FloatArray) -> FloatArray:

@@ -24,6 +24,7 @@ _FOLDED_ROWS = 6
 _ENTRIES = 7  # of a row of the stiffness: four control points, or three and an apex
 _APEX = 3  # unknowns of an apex: it moves freely
 _FIRM = 1e3
+_NOTHING = 1e-300
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,25 +109,30 @@ def _grevilles(net: Net) -> tuple[FloatArray, FloatArray]:
 
 
 def stiffness_rows(net: Net, unknowns: Unknowns) -> tuple[Rows, Rows]:
-    """Third differences across the surface, along u and along v, in spans of one knot."""
-    around = _third_rows(net, unknowns, net.control_mm, net.knots_u, along_u=True)
-    across = _third_rows(net, unknowns, net.control_mm, net.knots_v, along_u=False)
-    return around, across
+    """Changes of the normal curvature over each span, along u and along v, as lengths.
+
+    Curvature, not a difference of control points: what the parametrisation does is free. A change
+    is told in mm, times the typical and the own length of the span, so that it stays small where
+    lines crowd towards an apex.
+    """
+    return (
+        _rows_along(net, unknowns, net.knots_u, along_u=True),
+        _rows_along(net, unknowns, net.knots_v, along_u=False),
+    )
 
 
-def _third_rows(
-    net: Net, unknowns: Unknowns, control: FloatArray, knots: FloatArray, *, along_u: bool
-) -> Rows:
+def _rows_along(net: Net, unknowns: Unknowns, knots: FloatArray, *, along_u: bool) -> Rows:
     """A row for every span in one direction and every control point of the other."""
     closed = net.closed_u if along_u else net.closed_v
     spans = int(net.spans[0] if along_u else net.spans[1])
-    middles = np.arange(spans, dtype=np.float64) + 0.5
-    basis = basis_at(middles, knots, 3, closed=closed)
-    thirds = basis.values[:, 3]
-    numbers, slopes, values = _thirds(
-        control, unknowns.directions, unknowns.place, net.apex, basis.first, thirds, along_u=along_u
-    )
+    at_knots = np.arange(spans + 1, dtype=np.float64)
+    basis = basis_at(np.mod(at_knots, spans) if closed else at_knots, knots, 2, closed=closed)
+    numbers, slopes, values = _changes(
+        net.control_mm, unknowns.directions, unknowns.place, net.apex, basis.first, basis.values,
+        along_u=along_u,
+    )  # fmt: skip
     u, v = _grevilles(net)
+    middles = np.arange(spans, dtype=np.float64) + 0.5
     at_u, at_v = np.meshgrid(middles, v, indexing="ij") if along_u else np.meshgrid(
         u, middles, indexing="ij"
     )  # fmt: skip
@@ -134,46 +140,83 @@ def _third_rows(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _thirds(
+def _changes(
     control: FloatArray, directions: FloatArray, place: IntArray, apex: BoolArray,
-    firsts: IntArray, thirds: FloatArray, *, along_u: bool,
+    firsts: IntArray, bases: FloatArray, *, along_u: bool,
 ) -> tuple[IntArray, FloatArray, FloatArray]:  # fmt: skip
     count_u, count_v = control.shape[:2]
-    others = count_v if along_u else count_u
-    spans = len(firsts)
+    count, others = (count_u, count_v) if along_u else (count_v, count_u)
+    spans = len(firsts) - 1
     numbers = np.full((spans * others, _ENTRIES), -1, np.int64)
     slopes, values = np.zeros((spans * others, _ENTRIES)), np.zeros(spans * others)
-    normal, total = np.empty(3), np.empty(3)
-    for span in range(spans):
-        for other in range(others):
+    bends, speeds = np.zeros(spans + 1), np.zeros(spans + 1)
+    parts, tips = np.zeros((spans + 1, 4)), np.zeros((spans + 1, 3))
+    line, ways = np.empty((4, 3)), np.empty((4, 3))
+    for other in range(others):
+        if along_u and apex[other]:
+            continue
+        for t in range(spans + 1):
+            for k in range(4):
+                at = (firsts[t] + k) % count
+                i, j = (at, other) if along_u else (other, at)
+                line[k], ways[k] = control[i, j], directions[i, j]
+            bends[t], speeds[t] = _bend(line, ways, bases[t], parts[t], tips[t])
+        typical = speeds.mean()
+        for span in range(spans):
             row = span * others + other if along_u else other * spans + span
-            if along_u and apex[other]:
-                continue
-            normal[:], total[:] = 0.0, 0.0
-            for k in range(4):
-                i = (firsts[span] + k) % count_u if along_u else other
-                j = other if along_u else (firsts[span] + k) % count_v
-                for d in range(3):
-                    normal[d] += directions[i, j, d]
-                    total[d] += thirds[span, k] * control[i, j, d]
-            length = max(np.sqrt((normal**2).sum()), 1e-300)
-            for d in range(3):
-                normal[d] /= length
-                values[row] += normal[d] * total[d]
-            for k in range(4):
-                i = (firsts[span] + k) % count_u if along_u else other
-                j = other if along_u else (firsts[span] + k) % count_v
-                if apex[j]:
-                    for d in range(3):
-                        numbers[row, 4 + d] = place[j] * count_u + d
-                        slopes[row, 4 + d] += thirds[span, k] * normal[d]
-                    continue
-                along = 0.0
-                for d in range(3):
-                    along += directions[i, j, d] * normal[d]
-                numbers[row, k] = place[j] * count_u + i
-                slopes[row, k] = thirds[span, k] * along
+            scale = typical * 0.5 * (speeds[span] + speeds[span + 1])
+            values[row] = scale * (bends[span + 1] - bends[span])
+            for end in range(2):
+                sign = scale if end else -scale
+                t = span + end
+                for k in range(4):
+                    place_in = (firsts[t] - firsts[span]) % count + k
+                    at = (firsts[t] + k) % count
+                    i, j = (at, other) if along_u else (other, at)
+                    if apex[j]:
+                        for d in range(3):
+                            numbers[row, 4 + d] = place[j] * count_u + d
+                            slopes[row, 4 + d] += sign * bases[t, 2, k] * tips[t, d]
+                    elif place_in < 4:
+                        numbers[row, place_in] = place[j] * count_u + i
+                        slopes[row, place_in] += sign * parts[t, k]
     return numbers, slopes, values
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _bend(
+    line: FloatArray, ways: FloatArray, basis: FloatArray, parts: FloatArray, tip: FloatArray
+) -> tuple[float, float]:
+    """Normal curvature of a line at a knot, its speed, and how control points' moves change it.
+
+    `tip` gets the change for a free move of a control point, over its second basis derivative.
+    """
+    normal, first, second = np.zeros(3), np.zeros(3), np.zeros(3)
+    for k in range(4):
+        for d in range(3):
+            normal[d] += basis[0, k] * ways[k, d]
+            first[d] += basis[1, k] * line[k, d]
+            second[d] += basis[2, k] * line[k, d]
+    if not (normal**2).sum() > 0.0:  # at an apex: as beside it
+        normal[:] = ways[2] if basis[0, 3] > 0.5 else ways[1]
+    length = max(np.sqrt((normal**2).sum()), _NOTHING)
+    square = max((first**2).sum(), _NOTHING)
+    bend = skew = 0.0
+    for d in range(3):
+        normal[d] /= length
+        bend += normal[d] * second[d]
+        skew += first[d] * second[d]
+    bend, skew = bend / square, skew / square
+    for k in range(4):
+        across = beside = 0.0
+        for d in range(3):
+            across += normal[d] * ways[k, d]
+            beside += first[d] * ways[k, d]
+        turned = (basis[2, k] - skew * basis[1, k]) * across
+        parts[k] = (turned - 2.0 * bend * basis[1, k] * beside) / square
+    for d in range(3):
+        tip[d] = normal[d] / square
+    return bend, np.sqrt(square)
 
 
 def empty_system(unknowns: Unknowns) -> tuple[Blocks, FloatArray]:

@@ -66,5 +66,8 @@ class Noise:
             normal[[0, 1], [1, 0]] -= alike
             sizes = np.linalg.solve(normal, right)
             sizes[0] = max(sizes[0], 1e-3 * mean, 1e-300)
-            sizes[1] = min(max(sizes[1], _LEAST_RISE * sizes[0]), 1e3 * sizes[0])
+            # The axes know a height at least as well as the sensor knows a place in its light.
+            if sizes[1] > sizes[0]:
+                sizes[:] = mean
+            sizes[1] = max(sizes[1], _LEAST_RISE * sizes[0])
         return replace(self, level_mm2=float(sizes[0]), rise_mm2=float(sizes[1]))

@@ -30,7 +30,7 @@ _REACH = 6.0  # standard deviations from the first net: loose cells farther off 
 _BOXES = 64
 _FEWEST = 4  # outlines
 _WILD = 8.0  # times as far as is usual from the middle between its neighbours
-_WILD_STEPS = 1.5  # and of the usual way to the next outline
+_WILD_STEPS = 0.4  # and of the usual way to the next outline
 _EXACT = 1e-7  # of a part's size: scatter below it is none
 
 
@@ -153,8 +153,12 @@ def _spans_around(branch: Branch) -> int:
 
 
 def _spans_along(branch: Branch) -> int:
-    """A span an outline, within bounds: outlines stand as densely as the part asks for."""
-    return int(min(max(len(branch.outlines), _LEAST_SPANS_V), _MOST_SPANS_V))
+    """Three spans to four outlines, within bounds.
+
+    One to one, outlines would lie in the middle of spans, where they do not see a net that wavers
+    from row to row.
+    """
+    return int(min(max(0.75 * len(branch.outlines), _LEAST_SPANS_V), _MOST_SPANS_V))
 
 
 def _brims(branch: Branch) -> tuple[Brim | Apex, Brim | Apex] | None:

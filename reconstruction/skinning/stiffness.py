@@ -17,6 +17,7 @@ from reconstruction.skinning.net import Net
 _SPANS_A_STATION = 8.0
 _MOST = 12  # stations in one direction
 _TIE = 8.0  # precision of the difference of two neighbouring stations' log stiffness
+_KIN = 0.05  # precision of the difference of the two directions' mean log stiffness
 _FAINT = 0.05  # degrees of freedom that are as good as none
 _STEP = 3.0  # of a logarithm, at once
 
@@ -29,7 +30,6 @@ class Lattice:
     ends: tuple[float, float]  # of the domain
     closed: tuple[bool, bool]
     ties: FloatArray  # (stations, stations)
-    bends: tuple[FloatArray, FloatArray]  # eigenvalues of the third differences, u and v
 
     @staticmethod
     def over(net: Net) -> Lattice:
@@ -38,12 +38,7 @@ class Lattice:
         closed = (net.closed_u, net.closed_v)
         ties = np.kron(_walk(shape[0], closed=closed[0]), np.eye(shape[1]))
         ties += np.kron(np.eye(shape[0]), _walk(shape[1], closed=closed[1]))
-        count_u, count_v = net.control_mm.shape[:2]
-        bends = (
-            _bends(count_u, closed=net.closed_u),
-            _bends(count_v, closed=net.closed_v),
-        )
-        return Lattice(shape, net.spans, closed, frozen(_TIE * ties), bends)
+        return Lattice(shape, net.spans, closed, frozen(_TIE * ties))
 
     @property
     def count(self) -> int:
@@ -70,38 +65,34 @@ class Lattice:
         numbers, weights = self.hats(rows)
         return np.asarray((logs[numbers] * weights).sum(axis=1))
 
-    def ranks(self, rows: tuple[Rows, Rows], laid: list[FloatArray]) -> tuple[FloatArray, ...]:
-        """Degrees of freedom that the prior alone gives each row, where both stiffnesses speak.
-
-        Of a net with one stiffness each, exactly; where they vary, as if they did not.
-        """
-        ratio = np.linspace(-30.0, 30.0, 61)
-        bends_u, bends_v = self.bends
-        grid_u, grid_v = bends_u[:, None], bends_v[None, :]
-        share = np.empty(len(ratio))
-        for n, log in enumerate(ratio):
-            total = grid_u + np.exp(-log) * grid_v
-            share[n] = float((grid_u / np.where(total > 0.0, total, np.inf)).sum())
-        whole = float(((grid_u > 0.0) | (grid_v > 0.0)).sum())
-        count = (len(laid[0]), len(laid[1]))
-        level_u, level_v = float(np.median(laid[0])), float(np.median(laid[1]))
-        own_u = np.interp(laid[0] - level_v, ratio, share) / count[0]
-        own_v = (whole - np.interp(level_u - laid[1], ratio, share)) / count[1]
-        return np.asarray(own_u), np.asarray(own_v)
-
     def stepped(
-        self, rows: Rows, logs: FloatArray, free: FloatArray, forms: FloatArray
+        self,
+        rows: Rows,
+        logs: FloatArray,
+        others: FloatArray,
+        free: FloatArray,
+        forms: FloatArray,
     ) -> FloatArray:
-        """One step towards the likelihood's maximum, held by the ties between stations."""
+        """One step towards the likelihood's maximum, held by ties.
+
+        Parameters
+        ----------
+        others
+            Log stiffness in the other direction: where it alone does everything, the data say
+            nothing of this one, which must not drift away then.
+        free, forms
+            (r,), degrees of freedom that each row has left to the data, and what its bend spends.
+        """
         numbers, weights = self.hats(rows)
         size = self.count
         given = np.bincount(numbers.ravel(), (weights * free[:, None]).ravel(), size)
         bent = np.bincount(numbers.ravel(), (weights * forms[:, None]).ravel(), size)
         left = np.maximum(given, 0.0) + _FAINT
         wanted = np.clip(np.log(left / (bent + _FAINT)), -_STEP, _STEP)
-        gradient = 0.5 * left * wanted - self.ties @ logs
-        step = np.linalg.solve(np.diag(0.5 * left) + self.ties, gradient)
-        return np.asarray(logs + np.clip(step, -_STEP, _STEP))
+        kin = _KIN / size
+        gradient = 0.5 * left * wanted - self.ties @ logs - kin * (logs - others)
+        known = np.diag(0.5 * left + kin) + self.ties
+        return np.asarray(logs + np.clip(np.linalg.solve(known, gradient), -_STEP, _STEP))
 
     def _beside(self, at: FloatArray, axis: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         count, end, closed = self.shape[axis], self.ends[axis], self.closed[axis]
@@ -119,13 +110,3 @@ def _walk(count: int, *, closed: bool) -> FloatArray:
     steps = np.roll(np.eye(count), 1, axis=1) - np.eye(count)
     steps = steps if closed else steps[:-1]
     return np.asarray(steps.T @ steps)
-
-
-def _bends(count: int, *, closed: bool) -> FloatArray:
-    """Eigenvalues of third differences among `count` control points."""
-    rows = np.zeros((count if closed else count - 3, count))
-    for k in range(len(rows)):
-        for offset, factor in enumerate((-1.0, 3.0, -3.0, 1.0)):
-            rows[k, (k + offset) % count] += factor
-    values = np.linalg.eigvalsh(rows.T @ rows)
-    return np.where(values > 1e-9 * values.max(initial=1.0), values, 0.0)

@@ -40,11 +40,13 @@ from reconstruction.skinning.noise import Noise
 from reconstruction.skinning.outlines import Moments
 from reconstruction.skinning.stiffness import Lattice
 
-_ROUNDS = 12
+_ROUNDS = 25
+_AT_REST = 0.15  # of a logarithm
 _RELAID = (2, 5)  # rounds after which v is made to run evenly again
 _LEAST_POINTS = 12.0
 _STILL = 0.05  # standard deviations: a surface that moves less stands still
 _LEASH = 9.0  # variances of a point, and a span, that a control point may well go from its start
+_FREE = 1e-8  # of the largest pivot, for what the stiffness leaves free
 _RIDGE = 1e-12  # of the largest pivot
 _FULL = 4.0  # standard deviations up to which a cell counts in full ...
 _NONE = 8.0  # ... and from which it does not count
@@ -89,6 +91,7 @@ class _State:
     v: FloatArray
     noise: Noise
     stiffness: tuple[FloatArray, FloatArray]
+    steps: tuple[FloatArray, FloatArray]  # of the stiffness, in the round before
 
 
 def fit_net(
@@ -111,7 +114,7 @@ def fit_net(
     lattice = Lattice.over(net)
     usual = _usual_log_stiffness(net, moments, noise)
     start = np.full(lattice.count, usual)
-    state = _State(net, net.control_mm, u, v, noise, (start, start.copy()))
+    state = _State(net, net.control_mm, u, v, noise, (start, start), (0.0 * start, 0.0 * start))
     fit: TensorFit | None = None
     for turn in range(_ROUNDS):
         with threadpool_limits(1, "blas"):  # blocks are small: threads would only wait
@@ -122,7 +125,7 @@ def fit_net(
         if turn in _RELAID:
             again, v = relaid(state.net, state.v)
             state = replace(state, net=again, start_mm=again.control_mm, v=v)
-        if moved < _STILL and turn > 1:
+        if moved < _STILL and _settled(state) and turn > _RELAID[-1]:
             break
     if fit is None:
         raise Unfittable(
@@ -172,26 +175,31 @@ def _round(
         return None
     moves = solve(factor, system[1]).reshape(-1)
     inverse = inverse_blocks(factor)
-    stiffness, spent = _learnt(lattice, rows, laid, state.stiffness, moves, inverse)
+    prior = _prior(unknowns, rows, laid)
+    learnt, spent = _learnt(lattice, rows, laid, state.stiffness, moves, (prior, inverse))
     free = _free_unknowns(net)
     edf = free - spent
     squares = feet.distances_mm**2 + feet.scatters_mm2
     fresh = noise.looked_at_again(feet.normals, squares, held, edf)
-    most = float(np.abs(moves).max())
     still = float((np.abs(moves) / np.sqrt(np.maximum(_diagonal(inverse), 1e-300))).max())
-    moves = moves * min(1.0, _span_mm(net) / max(most, 1e-300))
-    control = applied(net, unknowns, moves)
+    far = _span_mm(net)  # as far as a linearisation is good
+    control = applied(net, unknowns, np.clip(moves, -far, far))
     if not np.isfinite(control).all():
         return None
     fit = TensorFit(
-        net.moved(control), unknowns, feet, weights, fresh, stiffness, edf, inverse,
+        net.moved(control), unknowns, feet, weights, fresh, state.stiffness, edf, inverse,
         float((data * squares).sum()), turn + 1,
     )  # fmt: skip
-    return (
-        fit,
-        replace(state, net=fit.net, u=feet.u, v=feet.v, noise=fresh, stiffness=stiffness),
-        still,
+    steps = (learnt[0] - state.stiffness[0], learnt[1] - state.stiffness[1])
+    after = replace(
+        state, net=fit.net, u=feet.u, v=feet.v, noise=fresh, stiffness=learnt, steps=steps
     )
+    return fit, after, still
+
+
+def _settled(state: _State) -> bool:
+    """Whether the stiffness has come to rest."""
+    return max(float(np.abs(step).max()) for step in state.steps) < _AT_REST
 
 
 def _robust(feet: Feet, moments: Moments, noise: Noise, variances: FloatArray) -> FloatArray:
@@ -217,6 +225,20 @@ def _leash(
     away = ((net.control_mm - start_mm) * unknowns.directions).sum(axis=2)
     numbers = unknowns.place[None, :] * unknowns.width + np.arange(unknowns.width)[:, None]
     np.add.at(right.reshape(-1), numbers.ravel(), -away.ravel() / variance_mm2)
+
+
+def _prior(unknowns: Unknowns, rows: tuple[Rows, Rows], laid: list[FloatArray]) -> Blocks:
+    """Covariance of the moves by the stiffness alone; what it leaves free is nearly so."""
+    system = empty_system(unknowns)
+    for each, values in zip(rows, laid, strict=True):
+        add_stiffness(system, each, np.exp(values))
+    matrix = system[0]
+    blocks, size = matrix.diagonal.shape[:2]
+    flat = matrix.diagonal.reshape(blocks, size * size)[:, :: size + 1]
+    flat += _FREE * float(flat.max())
+    factor = factorise(matrix)
+    assert factor is not None, "a ridge makes it positive"
+    return inverse_blocks(factor)
 
 
 def _hold_the_rest(matrix: Blocks) -> None:
@@ -250,14 +272,17 @@ def _learnt(
     laid: list[FloatArray],
     logs: tuple[FloatArray, FloatArray],
     moves: FloatArray,
-    inverse: Blocks,
+    inverses: tuple[Blocks, Blocks],
 ) -> tuple[tuple[FloatArray, FloatArray], float]:
-    """Both stiffnesses after one step of restricted likelihood; what the stiffness took up."""
+    """Both stiffnesses after one step of restricted likelihood; what the stiffness took up.
+
+    `inverses` are those of the prior alone, and with the data: the freedom that a row has lost to
+    the data is what the one gives it more than the other.
+    """
     spent, fresh = 0.0, []
-    shares = [np.exp(v) * row_variances(each, inverse) for each, v in zip(rows, laid, strict=True)]
-    ranks = lattice.ranks(rows, laid)
-    for each, values, log, share, rank in zip(rows, laid, logs, shares, ranks, strict=True):
+    for each, values, log, other in zip(rows, laid, logs, logs[::-1], strict=True):
+        rank, share = (np.exp(values) * row_variances(each, inverse) for inverse in inverses)
         forms = np.exp(values) * (each.values_mm + row_values(each, moves)) ** 2
         spent += float(share.sum())
-        fresh.append(lattice.stepped(each, log, rank - share, forms))
+        fresh.append(lattice.stepped(each, log, other, rank - share, forms))
     return (fresh[0], fresh[1]), spent

@@ -138,8 +138,10 @@ def test_rows_of_the_stiffness_say_how_they_change(name: str) -> None:
     for before, after in zip(
         stiffness_rows(net, unknowns), stiffness_rows(moved, unknowns), strict=True
     ):
+        # To first order: moves of 1e-4 leave some 1e-8, turns of the normals among it.
         change = after.values_mm - before.values_mm
-        assert row_values(before, moves) == pytest.approx(change, abs=1e-12)
+        assert row_values(before, moves) == pytest.approx(change, abs=1e-7)
+        assert np.abs(change).max() > 1e-4
 
 
 def test_circles_and_straight_lines_cost_nothing() -> None:
