@@ -122,7 +122,11 @@ def _calmed(shares: FloatArray) -> FloatArray:
     even = np.arange(count) / count
     waves = np.fft.rfft(shares - even, axis=1)
     waves[:, max(count // _SLOW, 3) :] = 0.0
-    return even + np.fft.irfft(waves, count, axis=1)
+    away = np.fft.irfft(waves, count, axis=1)
+    # Not so far that stations would change places.
+    narrow = -np.diff(away, axis=1, append=away[:, :1]).min(axis=1, keepdims=True)
+    most = (1.0 - _DENSER) / count
+    return np.asarray(even + away * np.minimum(1.0, most / np.maximum(narrow, 1e-300)))
 
 
 def _places(tables: FloatArray, shares: FloatArray) -> FloatArray:

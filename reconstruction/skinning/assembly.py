@@ -150,7 +150,7 @@ def _changes(
     numbers = np.full((spans * others, _ENTRIES), -1, np.int64)
     slopes, values = np.zeros((spans * others, _ENTRIES)), np.zeros(spans * others)
     bends, speeds = np.zeros(spans + 1), np.zeros(spans + 1)
-    parts, tips = np.zeros((spans + 1, 4)), np.zeros((spans + 1, 3))
+    parts, tips = np.zeros((spans + 1, 4)), np.zeros((spans + 1, 4, 3))
     line, ways = np.empty((4, 3)), np.empty((4, 3))
     for other in range(others):
         if along_u and apex[other]:
@@ -176,7 +176,7 @@ def _changes(
                     if apex[j]:
                         for d in range(3):
                             numbers[row, 4 + d] = place[j] * count_u + d
-                            slopes[row, 4 + d] += sign * bases[t, 2, k] * tips[t, d]
+                            slopes[row, 4 + d] += sign * tips[t, k, d]
                     elif place_in < 4:
                         numbers[row, place_in] = place[j] * count_u + i
                         slopes[row, place_in] += sign * parts[t, k]
@@ -185,11 +185,12 @@ def _changes(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _bend(
-    line: FloatArray, ways: FloatArray, basis: FloatArray, parts: FloatArray, tip: FloatArray
+    line: FloatArray, ways: FloatArray, basis: FloatArray, parts: FloatArray, tips: FloatArray
 ) -> tuple[float, float]:
     """Normal curvature of a line at a knot, its speed, and how control points' moves change it.
 
-    `tip` gets the change for a free move of a control point, over its second basis derivative.
+    `parts` (4,) get the changes for moves along the control points' ways, `tips` (4, 3) those for
+    free moves, as an apex makes them.
     """
     normal, first, second = np.zeros(3), np.zeros(3), np.zeros(3)
     for k in range(4):
@@ -199,8 +200,9 @@ def _bend(
             second[d] += basis[2, k] * line[k, d]
     if not (normal**2).sum() > 0.0:  # at an apex: as beside it
         normal[:] = ways[2] if basis[0, 3] > 0.5 else ways[1]
-    length = max(np.sqrt((normal**2).sum()), _NOTHING)
     square = max((first**2).sum(), _NOTHING)
+    normal -= (normal * first).sum() / square * first  # of the line itself
+    length = max(np.sqrt((normal**2).sum()), _NOTHING)
     bend = skew = 0.0
     for d in range(3):
         normal[d] /= length
@@ -208,14 +210,11 @@ def _bend(
         skew += first[d] * second[d]
     bend, skew = bend / square, skew / square
     for k in range(4):
-        across = beside = 0.0
+        parts[k] = 0.0
+        turned = basis[2, k] - skew * basis[1, k]
         for d in range(3):
-            across += normal[d] * ways[k, d]
-            beside += first[d] * ways[k, d]
-        turned = (basis[2, k] - skew * basis[1, k]) * across
-        parts[k] = (turned - 2.0 * bend * basis[1, k] * beside) / square
-    for d in range(3):
-        tip[d] = normal[d] / square
+            tips[k, d] = (turned * normal[d] - 2.0 * bend * basis[1, k] * first[d]) / square
+            parts[k] += tips[k, d] * ways[k, d]
     return bend, np.sqrt(square)
 
 

@@ -28,9 +28,10 @@ _STATIONS_A_SPAN = 3
 _LEAST_STATIONS = 96
 _REACH = 6.0  # standard deviations from the first net: loose cells farther off are not its
 _BOXES = 64
-_FEWEST = 4  # outlines
-_WILD = 8.0  # times as far as is usual from the middle between its neighbours
-_WILD_STEPS = 0.4  # and of the usual way to the next outline
+_NEAR_END = 4  # outlines
+_FEWEST = 8  # outlines
+_WILD = 4.0  # times as far as those nearby from the middle between its neighbours
+_WILD_STEPS = 0.3  # and of the usual way to the next outline
 _EXACT = 1e-7  # of a part's size: scatter below it is none
 
 
@@ -136,14 +137,14 @@ def _standing_out(stations: Stations, *, cyclic: bool) -> int | None:
     places = stations.places_mm
     middles = 0.5 * (np.roll(places, 1, axis=0) + np.roll(places, -1, axis=0))
     off = np.linalg.norm(places - middles, axis=2).max(axis=1)
-    if not cyclic:
-        off[[0, -1]] = 0.0
-    # Beside an outline that stands out its neighbours do, half as much.
-    usual = float(np.median(off))
+    if not cyclic:  # towards an end outlines may shrink fast
+        off[:_NEAR_END] = off[-_NEAR_END:] = 0.0
     steps = np.linalg.norm(np.diff(places, axis=0), axis=2).max(axis=1)
-    worst = int(np.argmax(off))
-    far = off[worst] > max(_WILD * usual, _WILD_STEPS * float(np.median(steps)))
-    return worst if far else None
+    # Beside an outline that stands out its neighbours do, half as much; the next ones tell.
+    around = np.stack([np.roll(off, shift) for shift in (-3, -2, 2, 3)]).max(axis=0)
+    excess = off - _WILD * around - _WILD_STEPS * float(np.median(steps))
+    worst = int(np.argmax(excess))
+    return worst if excess[worst] > 0.0 else None
 
 
 def _spans_around(branch: Branch) -> int:

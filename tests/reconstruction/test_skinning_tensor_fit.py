@@ -159,7 +159,7 @@ def test_a_ball_is_closed_by_a_rounded_apex_at_either_end() -> None:
 
 
 def test_an_outline_that_stands_out_is_left_out_and_its_points_are_used_where_they_fit() -> None:
-    slices = ring_slices((np.arange(20) * 2.0).tolist(), cylinder, count=500, sigma_mm=0.2)
+    slices = ring_slices((np.arange(20) * 2.0).tolist(), cylinder, count=1500, sigma_mm=0.2)
     pieces = drawn(slices)
     moved = ring_slices([20.0], lambda turn, z: np.full_like(turn, 30.0), count=500, sigma_mm=0.2)
     pieces[10] = drawn(moved)[0]
@@ -207,6 +207,8 @@ def test_a_torus_is_one_surface_that_closes_both_ways_in_any_order_of_slices() -
 
 def test_a_branch_of_few_outlines_still_has_a_surface() -> None:
     for heights in ([0.0, 2.0], [0.0, 2.0, 4.0]):
-        branch: Branch = only_branch(drawn(ring_slices(heights, cylinder, count=600, sigma_mm=0.1)))
+        branch: Branch = only_branch(
+            drawn(ring_slices(heights, cylinder, count=1500, sigma_mm=0.1))
+        )
         _, _, places, _ = grid(skin_branch(branch))
         assert np.abs(np.hypot(places[:, 0], places[:, 1]) - 50.0).max() < 0.15
