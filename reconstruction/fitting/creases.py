@@ -12,9 +12,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise, product
+from itertools import pairwise
 
 import numpy as np
+from numba import njit
 from scipy.spatial import cKDTree
 
 from reconstruction.arrays import FloatArray, IntArray
@@ -29,6 +30,7 @@ from reconstruction.fitting.uncertainty import deviations_along, variances_at
 from reconstruction.nurbs import Curve, curve_derivatives
 
 _A_SPAN = 8  # places on the smooth curve
+_FINE = 16  # places on a piece, a span: which piece a cell is nearest to, and roughly where
 _WINDOW = 4.0  # spans in which a rounded corner turns
 _LEAST_TURN = math.radians(20)
 _CONCENTRATED = 0.6  # share of the turning in three windows that a corner does in one
@@ -38,6 +40,7 @@ _MIXED = 1.0  # spans beside a cut
 _ABOUT = (1.0, 3.0)  # spans to either side of a corner, in each of which it must be centred
 _FARTHEST = 5.0  # standard deviations
 _LEAST_CELLS = 12  # of a piece
+_NEARLY = 0.2  # standard deviations: still enough to tell where pieces cross
 _SIGNIFICANT = 3.0  # standard deviations of the angle
 _CENTRED = 2.5  # standard deviations of the mean distance about a corner
 _DEAR = 4.0  # degrees of freedom that a corner must save
@@ -57,14 +60,14 @@ def creased(fit: Fit, cells: ArcCells, points: FloatArray) -> Shape | None:
     rows = _clear(fit, cells, cuts)
     pieces = [_fitted(fit, cells, rows, start, end) for start, end in _ways(fit, cuts)]
     whole = [piece for piece in pieces if piece is not None]
-    if len(whole) < len(pieces):
+    if len(whole) < len(pieces) or not _preferred(fit, cells, whole):
         return None
     met = _met(whole, cells, rows, closed=fit.closed)
     if met is None or not _preferred(fit, cells, met) or not _sharp(met, closed=fit.closed):
         return None
     shape = _joined(met, cells, closed=fit.closed)
-    trials = product(shape.creases, _ABOUT)
-    return shape if all(_centred(shape, fit, points, *trial) for trial in trials) else None
+    centred = all(_centred(shape, fit, points, corner) for corner in shape.creases)
+    return shape if centred else None
 
 
 def _clear(fit: Fit, cells: ArcCells, cuts: FloatArray) -> IntArray:
@@ -128,7 +131,7 @@ def _fitted(fit: Fit, cells: ArcCells, rows: IntArray, start: float, end: float)
     feet = t[cKDTree(places).query(own.means_mm)[1]]
     noise = Noise(fit.noise.variance_mm2, fit.noise.relative[rows], fit.noise.inflation)
     try:
-        return _Piece(smooth(own, control, feet, noise, closed=False), rows)
+        return _Piece(smooth(own, control, feet, noise, closed=False, still=_NEARLY), rows)
     except ReconstructionError:
         return None
 
@@ -160,7 +163,7 @@ def _met(
     if any(not end - start > 1.0 for start, end in stretches):
         return None
     trimmed = [_trimmed(piece.fit, *ends) for piece, ends in zip(pieces, stretches, strict=True)]
-    fine = [np.linspace(0.0, len(control) - 3, 60 * len(control)) for control in trimmed]
+    fine = [np.linspace(0.0, len(control) - 3, _FINE * len(control)) for control in trimmed]
     trees = [cKDTree(evaluate(c, t)[0]) for c, t in zip(trimmed, fine, strict=True)]
     found = [tree.query(cells.means_mm[rows]) for tree in trees]
     owner = np.argmin(np.stack([np.asarray(distances) for distances, _ in found]), axis=0)
@@ -219,31 +222,75 @@ def _preferred(fit: Fit, cells: ArcCells, pieces: list[_Piece]) -> bool:
     return cost < smooth_cost
 
 
-def _centred(shape: Shape, fit: Fit, points: FloatArray, corner: float, about: float) -> bool:
-    """Whether the points around a corner lie on both sides of it alike.
+def _centred(shape: Shape, fit: Fit, points: FloatArray, corner: float) -> bool:
+    """Whether the points around a corner lie on both sides of it alike, near it and farther out."""
+    lengths = span_lengths(fit.control_mm, fit.spans)
+    reach, total = float(lengths.mean()), float(lengths.sum())
+    widest = shape.curve(
+        np.mod(corner + np.linspace(-1.0, 1.0, 31) * _ABOUT[-1] * reach / total, 1)
+    )
+    margin = _FARTHEST * math.sqrt(fit.noise.variance_mm2)
+    near = points[_between(points, widest.min(axis=0) - margin, widest.max(axis=0) + margin)]
+    return all(_alike(shape, fit, near, corner, about * reach, total) for about in _ABOUT)
+
+
+def _alike(
+    shape: Shape, fit: Fit, points: FloatArray, corner: float, reach_mm: float, total_mm: float
+) -> bool:
+    """Whether the points within a reach of a corner lie on both sides of it alike.
 
     To a corner that overshoots a round bend no point lies far, as there are two sides to choose
     from; but all lie inside. Isotropic noise puts sigma**2 / 2 times the turn outside.
     """
-    lengths = span_lengths(fit.control_mm, fit.spans)
-    reach = about * float(lengths.mean())
-    ahead = np.linspace(-1.0, 1.0, 101) * reach / float(lengths.sum())
+    ahead = np.linspace(-1.0, 1.0, 101) * reach_mm / total_mm
     places, tangents = curve_derivatives(shape.curve, np.mod(corner + ahead, 1.0), 1)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     before, after = tangents[49], tangents[51]
     turn = math.atan2(before[0] * after[1] - before[1] * after[0], float(before @ after))
     tangents[50] = (before + after) / 2
     sigma = math.sqrt(fit.noise.variance_mm2)
-    off, nearest = cKDTree(places).query(points, distance_upper_bound=_FARTHEST * sigma)
-    off, nearest = np.asarray(off), np.asarray(nearest)
-    near = np.flatnonzero(np.isfinite(off) & (nearest > 0) & (nearest < 100))
-    if len(near) < _LEAST_CELLS / 2:
+    left, near = _mean_left(points, places, tangents, _FARTHEST * sigma)
+    if near < _LEAST_CELLS / 2:
         return False
-    arms, way = points[near] - places[nearest[near]], tangents[nearest[near]]
-    left = np.where(way[:, 0] * arms[:, 1] > way[:, 1] * arms[:, 0], off[near], -off[near])
-    usual = -0.5 * fit.noise.variance_mm2 * turn / (2 * reach)
-    chance = _CENTRED * sigma * math.sqrt(fit.noise.inflation / len(near))
-    return abs(float(left.mean()) - usual) < chance + 0.3 * abs(usual)
+    usual = -0.5 * fit.noise.variance_mm2 * turn / (2 * reach_mm)
+    chance = _CENTRED * sigma * math.sqrt(fit.noise.inflation / near)
+    return abs(left - usual) < chance + 0.3 * abs(usual)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mean_left(
+    points: FloatArray, places: FloatArray, tangents: FloatArray, far: float
+) -> tuple[float, int]:
+    """Mean distance to the left of a row of places, ends excluded, and of how many points."""
+    total, near = 0.0, 0
+    last = len(places) - 1
+    for n in range(len(points)):
+        x, y = points[n, 0], points[n, 1]
+        best, at = far * far, 0
+        for m in range(last + 1):
+            dx, dy = x - places[m, 0], y - places[m, 1]
+            square = dx * dx + dy * dy
+            if square < best:
+                best, at = square, m
+        if 0 < at < last:
+            dx, dy = x - places[at, 0], y - places[at, 1]
+            left = tangents[at, 0] * dy > tangents[at, 1] * dx
+            total += math.sqrt(best) if left else -math.sqrt(best)
+            near += 1
+    return total / max(near, 1), near
+
+
+@njit(cache=True, nogil=True)
+def _between(points: FloatArray, low: FloatArray, high: FloatArray) -> IntArray:
+    """Rows of the points in a box; there may be half a million, and few of them in it."""
+    rows = np.empty(len(points), np.int64)
+    held = 0
+    for n in range(len(points)):
+        x, y = points[n, 0], points[n, 1]
+        if low[0] <= x <= high[0] and low[1] <= y <= high[1]:
+            rows[held] = n
+            held += 1
+    return rows[:held].copy()
 
 
 def _misfit(
@@ -285,9 +332,11 @@ def _joined(pieces: list[_Piece], cells: ArcCells, *, closed: bool) -> Shape:
     stops = np.concatenate([[0.0], np.cumsum(lengths)]) / sum(lengths)
     curve = _curve(pieces, stops, closed=closed)
     fine = np.linspace(0.0, 1.0, 4097)
-    found = cKDTree(curve(fine)).query(cells.means_mm)
-    distances, u = np.asarray(found[0]), fine[np.asarray(found[1])]
-    scatters = np.zeros(len(cells))
+    distances, u, scatters = np.zeros((3, len(cells)))
+    rest = np.ones(len(cells), np.bool_)
+    rest[np.concatenate([piece.rows for piece in pieces])] = False
+    found = cKDTree(curve(fine)).query(cells.means_mm[rest])
+    distances[rest], u[rest] = np.asarray(found[0]), fine[np.asarray(found[1])]
     grid = np.linspace(0.0, 1.0, 1025)
     deviations = np.empty(len(grid))
     for piece, start, end in zip(pieces, stops[:-1], stops[1:], strict=True):

@@ -84,6 +84,7 @@ class _Leash:
 
     start_mm: FloatArray  # (n, 2)
     variance_mm2: float
+    least_mm2: float  # exact data have no scatter at all; so much they are said to have
 
 
 def smooth(
@@ -115,7 +116,7 @@ def smooth(
         log_stiffness = np.full(hats.shape[1], usual)
     else:
         log_stiffness = _stretched(log_stiffness, hats.shape[1], closed=closed)
-    leash = _Leash(control_mm, _LEASH**2 * noise.variance_mm2 + float(lengths.mean()) ** 2)
+    leash = _leash(control_mm, _LEASH**2 * noise.variance_mm2 + float(lengths.mean()) ** 2)
     before = np.zeros_like(log_stiffness)
     fit = None
     for turn in range(_ROUNDS):
@@ -138,6 +139,10 @@ def smooth(
             " is what was chained together one run?"
         )
     return fit
+
+
+def _leash(start_mm: FloatArray, variance_mm2: float) -> _Leash:
+    return _Leash(start_mm, variance_mm2, (1e-7 * float(np.ptp(start_mm, axis=0).max())) ** 2)
 
 
 def feet(
@@ -170,7 +175,7 @@ def doubting(fit: Fit, cells: ArcCells) -> Fit:
     shares = stiffness * row_variances(rows, fit.inverse)
     known = np.diag(0.5 * np.maximum(hats.T @ (1.0 - shares), 0.0) + _FAINT)
     doubt = np.linalg.inv(known + _ties(hats.shape[1], fit.closed)).diagonal()
-    loose = _Leash(fit.control_mm, math.inf)  # it held the search back; it is no knowledge
+    loose = _leash(fit.control_mm, math.inf)  # it held the search back; it is no knowledge
     bare = hats.T @ ~borne / hats.sum(axis=0)
     softer = fit.log_stiffness - 0.25 * (1.0 + bare) * np.minimum(doubt, _MOST_DOUBT)
     again, _ = _round(
@@ -228,10 +233,12 @@ def _round(
     held = cells.counts * weights
     square = float((held * (distances**2 + scatters) / noise.relative).sum())
     # A linearisation is good for a span; farther off the curve would fold.
-    moves *= min(1.0, float(lengths.mean()) / max(float(np.abs(moves).max()), 1e-300))
+    farthest = float(np.abs(moves).max())
+    if farthest > float(lengths.mean()):
+        moves *= float(lengths.mean()) / farthest
     fit = Fit(
         control + moves * normals, closed, t, learnt,
-        _rescaled(noise, square, float(held.sum()), edf, float(np.ptp(control, axis=0).max())),
+        _rescaled(noise, square, float(held.sum()), edf, leash.least_mm2),
         edf, distances, scatters, weights, inverse, rounds=turn + 1,
     )  # fmt: skip
     return fit, moves
@@ -243,10 +250,9 @@ def _sound(fit: Fit, cells: ArcCells) -> bool:
     return bool(solved and float(cells.counts @ fit.weights) >= _LEAST_POINTS)
 
 
-def _rescaled(noise: Noise, square: float, held: float, edf: float, size_mm: float) -> Noise:
+def _rescaled(noise: Noise, square: float, held: float, edf: float, least_mm2: float) -> Noise:
     freedom = max(held - edf, 0.1 * held, 1.0)
-    least = (1e-7 * size_mm) ** 2  # exact data have no scatter at all
-    return Noise(max(square / freedom, least), noise.relative, noise.inflation)
+    return Noise(max(square / freedom, least_mm2), noise.relative, noise.inflation)
 
 
 def _fellner_schall(

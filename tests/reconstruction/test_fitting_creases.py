@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from scipy.spatial import cKDTree
+
 from reconstruction.arrays import FloatArray
+from reconstruction.fitting.creases import _between, _mean_left
 from reconstruction.fitting.section_fit import fit_chain
 from reconstruction.nurbs import curve_derivatives
 from tests.reconstruction.fit_cases import (
@@ -81,3 +84,19 @@ def test_a_nose_with_a_radius_of_the_noise_does_not_overshoot() -> None:
     points, share = noisy(outline, 10_000, 2.0, 5)
     curve = fit_chain(points, chain_of(points, share, 2.0, closed=False))
     assert curve(EVEN)[:, 0].min() == pytest.approx(-4.0, abs=0.6)
+
+
+def test_the_mean_beside_a_corner_is_that_of_a_search_of_all_points() -> None:
+    turn = np.linspace(0.0, 2.0, 101)
+    places = 10 * np.column_stack([np.cos(turn), np.sin(turn)])
+    tangents = np.column_stack([-np.sin(turn), np.cos(turn)])
+    points = np.random.default_rng(6).uniform(-15, 15, (4000, 2))
+    low, high = places.min(axis=0) - 1.5, places.max(axis=0) + 1.5
+    rows = _between(points, low, high)
+    np.testing.assert_array_equal(rows, np.flatnonzero(((points >= low) & (points <= high)).all(1)))
+    off, at = cKDTree(places).query(points[rows], distance_upper_bound=1.5)
+    near = np.flatnonzero((off < 1.5) & (at > 0) & (at < 100))
+    inward = np.hypot(*points[rows[near]].T) < np.hypot(*places[at[near]].T)  # to the left
+    mean, count = _mean_left(points[rows], places, tangents, 1.5)
+    assert count == len(near) > 100
+    assert mean == pytest.approx(np.where(inward, off[near], -off[near]).mean(), abs=1e-3)
