@@ -8,6 +8,7 @@ chain -> preliminary curve -> one pass over the points: arc cells
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import TooFewPoints
@@ -17,11 +18,17 @@ from reconstruction.fitting.creases import creased
 from reconstruction.fitting.curve import Exact, FittedCurve, finished
 from reconstruction.fitting.ends import ends_of
 from reconstruction.fitting.moments import ArcCells, cells_of_points, gather, nearest_vertices
-from reconstruction.fitting.preliminary import normal_equations, preliminary, reknotted
+from reconstruction.fitting.preliminary import (
+    normal_equations,
+    preliminary,
+    reknotted,
+    through,
+)
 from reconstruction.fitting.recognition import recognised
 from reconstruction.fitting.scatter import by_spacing, looked_at_again
 from reconstruction.fitting.smoothing import Fit, Noise, doubting, feet, smooth
 from reconstruction.fitting.spline import evaluate, spans_of
+from reconstruction.nurbs import Curve
 
 _REACH = 6.0  # standard deviations: farther across is not of this curve
 _SLACK = 0.25  # of the distance of nodes: a bend between them may be cut short by that
@@ -33,6 +40,7 @@ _NEARLY = 0.2  # standard deviations: still enough to look at noise and knots
 _FEW = 12  # points too few to tell one of them an outlier
 _EXACT = 1e-7  # of the length: scatter below it is none
 _PASSES = 6
+_FINE = 8  # places a span among which rough foot points are looked for
 
 
 def fit_chain(
@@ -62,7 +70,59 @@ def fit_chain(
     fit, cells, far = free_fit(points, chain, heights_mm)
     shape = recognised(fit, cells) if exact is Exact.AUTO else None
     shape = creased(fit, cells, points) if shape is None else shape
-    return finished(fit, cells, shape, chain, far)
+    return finished(fit, cells, shape, _gap_ends(chain), far, ambiguous=chain.ambiguous)
+
+
+def refitted(found: FittedCurve, along: Curve, *, spans: int) -> FittedCurve:
+    """Fit the points of a curve again, along another one nearby; what was kept of them will do.
+
+    The parametrisation is the other's, up to the distance between the two, and the knots are even
+    in it: as sections want it that are to share their knots. Free; corners are rounded.
+
+    Parameters
+    ----------
+    along
+        Closed as `found` is; of a neighbouring section, or of the same one aligned with it.
+    spans
+        How many; at least 7, the periodic or clamped cubic's control points following from them.
+    """
+    if along.closed != found.closed or spans < LEAST:
+        raise ValueError(
+            f"along: closed {along.closed} for a curve that is closed {found.closed};"
+            f" spans: {spans}, at least {LEAST}"
+        )
+    cells, closed = found.cells, found.closed
+    control = _sampled(along, spans)
+    fine = np.linspace(0.0, spans, _FINE * spans + 1)
+    rough = fine[cKDTree(evaluate(control, fine)[0]).query(cells.means_mm)[1]]
+    t, _ = feet(control, cells, rough, closed=closed)
+    relative = by_spacing(control, cells, t, closed=closed)
+    fit = smooth(
+        cells, control, t, Noise(found.sigma_mm**2, relative, found.inflation), closed=closed,
+        still=_NEARLY,
+    )  # fmt: skip
+    fit = smooth(
+        cells, fit.control_mm, fit.t, looked_at_again(fit, cells), closed=closed,
+        log_stiffness=fit.log_stiffness,
+    )  # fmt: skip
+    ends = np.array([[found(start), found(end)] for start, end in found.gaps]).reshape(-1, 2, 2)
+    far = found.points_used + found.outliers - cells.total
+    return finished(doubting(fit, cells), cells, None, ends, far, ambiguous=found.ambiguous)
+
+
+def _sampled(curve: Curve, spans: int) -> FloatArray:
+    """Control points of nearly the same curve on even spans of its own parameter."""
+    start, end = curve.domain
+    t = np.arange(4 * spans + (not curve.closed)) / 4
+    places = curve(start + (end - start) * t / spans)
+    return through(places, t, spans, closed=curve.closed)
+
+
+def _gap_ends(chain: Chain) -> FloatArray:
+    """The nodes on either side of every gap, (k, 2, 2)."""
+    start = np.array(chain.gaps, dtype=np.int64)
+    after = (start + 1) % len(chain.nodes_mm)
+    return np.stack([chain.nodes_mm[start], chain.nodes_mm[after]], axis=1)
 
 
 def free_fit(
