@@ -11,23 +11,24 @@ each corner lie on both sides of it alike. Cells beside a cut may hold both wall
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numba import njit
 from scipy.spatial import cKDTree
 
-from reconstruction.arrays import FloatArray, IntArray
+from reconstruction.arrays import BoolArray, FloatArray, IntArray
 from reconstruction.errors import ReconstructionError
 from reconstruction.fitting.bending import span_lengths
+from reconstruction.fitting.misfits import MIXED, excess
 from reconstruction.fitting.moments import ArcCells
 from reconstruction.fitting.preliminary import reknotted, through
 from reconstruction.fitting.recognition import Shape
+from reconstruction.fitting.scatter import looked_at_again
 from reconstruction.fitting.smoothing import Fit, Noise, smooth
 from reconstruction.fitting.spline import evaluate, nurbs_of
 from reconstruction.fitting.uncertainty import deviations_along, variances_at
-from reconstruction.nurbs import Curve, curve_derivatives
+from reconstruction.nurbs import Curve
 
 _A_SPAN = 8  # places on the smooth curve
 _FINE = 16  # places on a piece, a span: which piece a cell is nearest to, and roughly where
@@ -36,13 +37,12 @@ _LEAST_TURN = math.radians(20)
 _CONCENTRATED = 0.6  # share of the turning in three windows that a corner does in one
 _MOST = 24  # corners
 _LOST = 16.0  # squared deviations that a point set aside costs
-_MIXED = 1.0  # spans beside a cut
-_ABOUT = (1.0, 3.0)  # spans to either side of a corner, in each of which it must be centred
-_FARTHEST = 5.0  # standard deviations
+_MIXED_OFF = 3.5  # standard deviations: cells farther off, or thicker, hold both walls
 _LEAST_CELLS = 12  # of a piece
-_NEARLY = 0.2  # standard deviations: still enough to tell where pieces cross
+_NEARLY = 0.2  # standard deviations: still enough to tell where pieces cross; ...
+_STILL = 0.02  # ... and to stay
+_MOSTLY = 0.6  # share of a bend's turning that a corner does at once
 _SIGNIFICANT = 3.0  # standard deviations of the angle
-_CENTRED = 2.5  # standard deviations of the mean distance about a corner
 _DEAR = 4.0  # degrees of freedom that a corner must save
 
 
@@ -53,21 +53,53 @@ class _Piece:
 
 
 def creased(fit: Fit, cells: ArcCells, points: FloatArray) -> Shape | None:
-    """Return the curve with corners, if the points (n, 2) prefer it to the smooth one."""
-    cuts = _suspects(fit)
-    if not len(cuts):
-        return None
+    """Return the curve with corners, if the points (n, 2) prefer it to the smooth one.
+
+    Suspects that turn out to be bends are dropped, and the others tried again.
+    """
+    cuts, turns = _suspects(fit)
+    while len(cuts):
+        cut = _cut(fit, cells, cuts)
+        if cut is None:
+            return None
+        pieces, noise = cut
+        shape = _joined(pieces, cells, noise, closed=fit.closed)
+        worse = _excesses(shape, fit, points, cuts)
+        price = noise.inflation * math.log(max(cells.total / noise.inflation, 2.0))
+        sound = _sharp(pieces, turns, closed=fit.closed) & (worse < _DEAR * price)
+        if sound.all():
+            return shape if _preferred(fit, cells, pieces, noise, float(worse.sum())) else None
+        cuts, turns = cuts[sound], turns[sound]
+    return None
+
+
+def _excesses(shape: Shape, fit: Fit, points: FloatArray, cuts: FloatArray) -> FloatArray:
+    sigma = math.sqrt((shape.noise or fit.noise).variance_mm2)
+    return np.array(
+        [
+            excess(shape.curve, fit, points, corner, cut, sigma)
+            for corner, cut in zip(shape.creases, cuts, strict=True)
+        ]
+    )
+
+
+def _cut(fit: Fit, cells: ArcCells, cuts: FloatArray) -> tuple[list[_Piece], Noise] | None:
+    """The pieces between cuts, met at corners, and the noise they show.
+
+    None if they do not meet, or a single cut is in vain.
+    """
     rows = _clear(fit, cells, cuts)
     pieces = [_fitted(fit, cells, rows, start, end) for start, end in _ways(fit, cuts)]
     whole = [piece for piece in pieces if piece is not None]
-    if len(whole) < len(pieces) or not _preferred(fit, cells, whole):
+    if len(whole) < len(pieces):
         return None
-    met = _met(whole, cells, rows, closed=fit.closed)
-    if met is None or not _preferred(fit, cells, met) or not _sharp(met, closed=fit.closed):
+    # At the most favourable noise already: of one suspect there is nothing else to be tried.
+    best = Noise(whole[0].fit.noise.variance_mm2, np.ones(len(cells)))
+    if len(cuts) == 1 and not _preferred(fit, cells, whole, best):
         return None
-    shape = _joined(met, cells, closed=fit.closed)
-    centred = all(_centred(shape, fit, points, corner) for corner in shape.creases)
-    return shape if centred else None
+    settled = _settled(fit, whole, cells)
+    met = None if settled is None else _met(*settled, cells, closed=fit.closed)
+    return None if settled is None or met is None else (met, settled[1])
 
 
 def _clear(fit: Fit, cells: ArcCells, cuts: FloatArray) -> IntArray:
@@ -75,11 +107,11 @@ def _clear(fit: Fit, cells: ArcCells, cuts: FloatArray) -> IntArray:
     away = np.abs(fit.t[:, None] - cuts)
     if fit.closed:
         away = np.minimum(away, fit.spans - away)
-    return np.flatnonzero((away.min(axis=1) > _MIXED) & (cells.counts > 0))
+    return np.flatnonzero((away.min(axis=1) > MIXED) & (cells.counts > 0))
 
 
-def _suspects(fit: Fit) -> FloatArray:
-    """Parameters where the smooth curve turns much in a short way."""
+def _suspects(fit: Fit) -> tuple[FloatArray, FloatArray]:
+    """Parameters where the smooth curve turns much in a short way, and how much, in rad."""
     t = np.arange(_A_SPAN * fit.spans) / _A_SPAN
     _, first, second = evaluate(fit.control_mm, t)
     square = np.maximum((first**2).sum(axis=1), 1e-300)
@@ -87,16 +119,19 @@ def _suspects(fit: Fit) -> FloatArray:
     near = _summed(turning, int(_WINDOW * _A_SPAN), closed=fit.closed)
     wide = _summed(np.abs(turning), int(3 * _WINDOW * _A_SPAN), closed=fit.closed)
     sharp = np.where(np.abs(near) > _CONCENTRATED * wide, np.abs(near), 0.0)
-    cuts: list[float] = []
+    turned = np.abs(near)
+    cuts: list[int] = []
     for _ in range(_MOST):
         best = int(sharp.argmax())
         if sharp[best] < _LEAST_TURN:
             break
-        cuts.append(float(t[best]))
+        cuts.append(best)
         away = np.abs(t - t[best])
         sharp[np.minimum(away, fit.spans - away) < 2 * _WINDOW] = 0.0
-    inner = _WINDOW, fit.spans - _WINDOW
-    return np.sort([cut for cut in cuts if fit.closed or inner[0] < cut < inner[1]])
+    found = np.sort(np.array(cuts, dtype=np.int64))
+    inner = (t[found] > _WINDOW) & (t[found] < fit.spans - _WINDOW)
+    found = found if fit.closed else found[inner]
+    return t[found], turned[found]
 
 
 def _summed(values: FloatArray, window: int, *, closed: bool) -> FloatArray:
@@ -129,7 +164,7 @@ def _fitted(fit: Fit, cells: ArcCells, rows: IntArray, start: float, end: float)
     control = through(places, t, spans, closed=False)
     own = cells.only(rows)
     feet = t[cKDTree(places).query(own.means_mm)[1]]
-    noise = Noise(fit.noise.variance_mm2, fit.noise.relative[rows], fit.noise.inflation)
+    noise = fit.noise.only(rows)
     try:
         return _Piece(smooth(own, control, feet, noise, closed=False, still=_NEARLY), rows)
     except ReconstructionError:
@@ -150,7 +185,7 @@ def _straightened(fit: Fit, start: float, end: float) -> FloatArray:
 
 
 def _met(
-    pieces: list[_Piece], cells: ArcCells, rows: IntArray, *, closed: bool
+    pieces: list[_Piece], noise: Noise, cells: ArcCells, *, closed: bool
 ) -> list[_Piece] | None:
     """Trim the pieces where they cross, share the cells anew, and fit between the corners."""
     stretches = [[0.0, float(piece.fit.spans)] for piece in pieces]
@@ -165,22 +200,71 @@ def _met(
     trimmed = [_trimmed(piece.fit, *ends) for piece, ends in zip(pieces, stretches, strict=True)]
     fine = [np.linspace(0.0, len(control) - 3, _FINE * len(control)) for control in trimmed]
     trees = [cKDTree(evaluate(c, t)[0]) for c, t in zip(trimmed, fine, strict=True)]
+    rows = np.concatenate([piece.rows for piece in pieces])
     found = [tree.query(cells.means_mm[rows]) for tree in trees]
     owner = np.argmin(np.stack([np.asarray(distances) for distances, _ in found]), axis=0)
-    noise = pieces[0].fit.noise
     out = []
     for k, (control, t) in enumerate(zip(trimmed, fine, strict=True)):
         own = np.flatnonzero(owner == k)
-        try:
-            again = smooth(
-                cells.only(rows[own]), control, t[np.asarray(found[k][1])[own]],
-                Noise(noise.variance_mm2, np.ones(len(own)), noise.inflation),
-                closed=False, log_stiffness=pieces[k].fit.log_stiffness,
-            )  # fmt: skip
-        except ReconstructionError:
+        rough = replace(pieces[k].fit, control_mm=control, t=t[np.asarray(found[k][1])[own]])
+        piece = _smoothed(rough, cells, rows[own], noise)
+        if piece is None:
             return None
-        out.append(_Piece(again, rows[own]))
+        out.append(piece)
     return out
+
+
+def _settled(fit: Fit, pieces: list[_Piece], cells: ArcCells) -> tuple[list[_Piece], Noise] | None:
+    """Fit the pieces at the noise that they show, to the cells that are of one wall."""
+    own = [_of_one_wall(piece, cells) for piece in pieces]
+    looked = [looked_at_again(piece.fit, cells.only(piece.rows)) for piece in own]
+    relative = np.ones(len(cells))
+    for piece, noise in zip(own, looked, strict=True):
+        relative[piece.rows] = noise.relative
+    held = [float(cells.counts[piece.rows].sum()) for piece in own]
+    variance, inflation = (
+        float(np.average(values, weights=held))
+        for values in ([each.variance_mm2 for each in looked], [each.inflation for each in looked])
+    )
+    noise = Noise(variance, relative, inflation, fit.noise.doubt)
+    again = [_smoothed(piece.fit, cells, piece.rows, noise, still=_NEARLY) for piece in own]
+    whole = [piece for piece in again if piece is not None]
+    return (whole, noise) if len(whole) == len(again) else None
+
+
+def _of_one_wall(piece: _Piece, cells: ArcCells) -> _Piece:
+    """Leave out cells near the corners that hold more than the noise explains: both walls."""
+    fit, counts = piece.fit, cells.counts[piece.rows]
+    squares = fit.distances_mm**2 + fit.scatters_mm2
+    many = counts > 1
+    if not many.any():
+        return piece
+    variance = float(np.median(squares[many] * counts[many] / np.maximum(counts[many] - 1, 1)))
+    off = np.abs(fit.distances_mm) < _MIXED_OFF * np.sqrt(variance / counts)
+    thin = fit.scatters_mm2 < variance * (1.0 + _MIXED_OFF * np.sqrt(2.0 / counts))
+    within = (fit.t > 2 * _WINDOW) & (fit.t < fit.spans - 2 * _WINDOW)
+    return _only(piece, np.flatnonzero((off & thin) | ~many | within))
+
+
+def _only(piece: _Piece, which: IntArray) -> _Piece:
+    fit = piece.fit
+    noise = fit.noise.only(which)
+    kept = {name: getattr(fit, name)[which] for name in ("t", "distances_mm", "scatters_mm2",
+                                                         "weights")}  # fmt: skip
+    return _Piece(replace(fit, noise=noise, **kept), piece.rows[which])
+
+
+def _smoothed(
+    rough: Fit, cells: ArcCells, rows: IntArray, noise: Noise, *, still: float = _STILL
+) -> _Piece | None:
+    try:
+        again = smooth(
+            cells.only(rows), rough.control_mm, rough.t, noise.only(rows), closed=False,
+            log_stiffness=rough.log_stiffness, still=still,
+        )  # fmt: skip
+    except ReconstructionError:
+        return None
+    return _Piece(again, rows)
 
 
 def _trimmed(fit: Fit, start: float, end: float) -> FloatArray:
@@ -205,92 +289,25 @@ def _crossing(one: Fit, other: Fit) -> tuple[float, float] | None:
     return float(t[i] + s[i, j] * (t[1] - t[0])), float(u[j] + r[i, j] * (u[1] - u[0]))
 
 
-def _preferred(fit: Fit, cells: ArcCells, pieces: list[_Piece]) -> bool:
-    price = math.log(max(cells.total / fit.noise.inflation, 2.0))
+def _preferred(
+    fit: Fit, cells: ArcCells, pieces: list[_Piece], noise: Noise, worse: float = 0.0
+) -> bool:
+    """Whether the pieces explain the points, at the noise they show, with less than the curve.
+
+    `worse` is what the points beside the cuts, which no cell tells of, add to their cost.
+    """
+    price = math.log(max(cells.total / noise.inflation, 2.0))
     smooth_cost = fit.edf * price
-    cost = len(pieces) * _DEAR * price
+    cost = len(pieces) * _DEAR * price + worse / noise.inflation
     for piece in pieces:
-        noise = Noise(fit.noise.variance_mm2, fit.noise.relative[piece.rows], fit.noise.inflation)
-        counts, rows = cells.counts[piece.rows], piece.rows
-        own = piece.fit
-        cost += own.edf * price + _misfit(
-            counts, own.distances_mm, own.scatters_mm2, own.weights, noise
-        )
+        rows, own = piece.rows, piece.fit
+        counts, among = cells.counts[rows], noise.only(rows)
+        cost += own.edf * price
+        cost += _misfit(counts, own.distances_mm, own.scatters_mm2, own.weights, among)
         smooth_cost += _misfit(
-            counts, fit.distances_mm[rows], fit.scatters_mm2[rows], fit.weights[rows], noise
+            counts, fit.distances_mm[rows], fit.scatters_mm2[rows], fit.weights[rows], among
         )
     return cost < smooth_cost
-
-
-def _centred(shape: Shape, fit: Fit, points: FloatArray, corner: float) -> bool:
-    """Whether the points around a corner lie on both sides of it alike, near it and farther out."""
-    lengths = span_lengths(fit.control_mm, fit.spans)
-    reach, total = float(lengths.mean()), float(lengths.sum())
-    widest = shape.curve(
-        np.mod(corner + np.linspace(-1.0, 1.0, 31) * _ABOUT[-1] * reach / total, 1)
-    )
-    margin = _FARTHEST * math.sqrt(fit.noise.variance_mm2)
-    near = points[_between(points, widest.min(axis=0) - margin, widest.max(axis=0) + margin)]
-    return all(_alike(shape, fit, near, corner, about * reach, total) for about in _ABOUT)
-
-
-def _alike(
-    shape: Shape, fit: Fit, points: FloatArray, corner: float, reach_mm: float, total_mm: float
-) -> bool:
-    """Whether the points within a reach of a corner lie on both sides of it alike.
-
-    To a corner that overshoots a round bend no point lies far, as there are two sides to choose
-    from; but all lie inside. Isotropic noise puts sigma**2 / 2 times the turn outside.
-    """
-    ahead = np.linspace(-1.0, 1.0, 101) * reach_mm / total_mm
-    places, tangents = curve_derivatives(shape.curve, np.mod(corner + ahead, 1.0), 1)
-    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-    before, after = tangents[49], tangents[51]
-    turn = math.atan2(before[0] * after[1] - before[1] * after[0], float(before @ after))
-    tangents[50] = (before + after) / 2
-    sigma = math.sqrt(fit.noise.variance_mm2)
-    left, near = _mean_left(points, places, tangents, _FARTHEST * sigma)
-    if near < _LEAST_CELLS / 2:
-        return False
-    usual = -0.5 * fit.noise.variance_mm2 * turn / (2 * reach_mm)
-    chance = _CENTRED * sigma * math.sqrt(fit.noise.inflation / near)
-    return abs(left - usual) < chance + 0.3 * abs(usual)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _mean_left(
-    points: FloatArray, places: FloatArray, tangents: FloatArray, far: float
-) -> tuple[float, int]:
-    """Mean distance to the left of a row of places, ends excluded, and of how many points."""
-    total, near = 0.0, 0
-    last = len(places) - 1
-    for n in range(len(points)):
-        x, y = points[n, 0], points[n, 1]
-        best, at = far * far, 0
-        for m in range(last + 1):
-            dx, dy = x - places[m, 0], y - places[m, 1]
-            square = dx * dx + dy * dy
-            if square < best:
-                best, at = square, m
-        if 0 < at < last:
-            dx, dy = x - places[at, 0], y - places[at, 1]
-            left = tangents[at, 0] * dy > tangents[at, 1] * dx
-            total += math.sqrt(best) if left else -math.sqrt(best)
-            near += 1
-    return total / max(near, 1), near
-
-
-@njit(cache=True, nogil=True)
-def _between(points: FloatArray, low: FloatArray, high: FloatArray) -> IntArray:
-    """Rows of the points in a box; there may be half a million, and few of them in it."""
-    rows = np.empty(len(points), np.int64)
-    held = 0
-    for n in range(len(points)):
-        x, y = points[n, 0], points[n, 1]
-        if low[0] <= x <= high[0] and low[1] <= y <= high[1]:
-            rows[held] = n
-            held += 1
-    return rows[:held].copy()
 
 
 def _misfit(
@@ -302,19 +319,22 @@ def _misfit(
 ) -> float:
     squares = (distances**2 + scatters) / (noise.variance_mm2 * noise.relative)
     lost = _LOST * (1.0 - weights)
-    return float((counts * (weights * squares + lost)).sum()) / noise.inflation
+    return float((counts / noise.kinship * (weights * squares + lost)).sum())
 
 
-def _sharp(pieces: list[_Piece], *, closed: bool) -> bool:
-    """Whether every corner turns by more than its one-sided tangents are uncertain."""
-    for one in range(len(pieces) if closed else len(pieces) - 1):
-        before, after = pieces[one].fit, pieces[(one + 1) % len(pieces)].fit
-        p, da = _tangent(before, float(before.spans), -1.0)
-        q, db = _tangent(after, 0.0, 1.0)
+def _sharp(pieces: list[_Piece], turns: FloatArray, *, closed: bool) -> BoolArray:
+    """Which corners turn by more than their one-sided tangents are uncertain, in order.
+
+    And by most of what the smooth curve turns there: else it is a bend, cut in two.
+    """
+    pairs = [(pieces[-1], pieces[0])] if closed else []
+    sharp = []
+    for (before, after), whole in zip((*pairs, *pairwise(pieces)), turns, strict=True):
+        p, da = _tangent(before.fit, float(before.fit.spans), -1.0)
+        q, db = _tangent(after.fit, 0.0, 1.0)
         turn = abs(math.atan2(p[0] * q[1] - p[1] * q[0], float(p @ q)))
-        if turn < max(_LEAST_TURN, _SIGNIFICANT * math.hypot(da, db)):
-            return False
-    return True
+        sharp.append(turn >= max(_LEAST_TURN, _MOSTLY * whole, _SIGNIFICANT * math.hypot(da, db)))
+    return np.array(sharp)
 
 
 def _tangent(fit: Fit, at: float, inward: float) -> tuple[FloatArray, float]:
@@ -326,7 +346,7 @@ def _tangent(fit: Fit, at: float, inward: float) -> tuple[FloatArray, float]:
     return first[0], float(deviation.max()) / length
 
 
-def _joined(pieces: list[_Piece], cells: ArcCells, *, closed: bool) -> Shape:
+def _joined(pieces: list[_Piece], cells: ArcCells, noise: Noise, *, closed: bool) -> Shape:
     """One curve, parametrised by length, threefold knots at the corners."""
     lengths = [float(span_lengths(p.fit.control_mm, p.fit.spans).sum()) for p in pieces]
     stops = np.concatenate([[0.0], np.cumsum(lengths)]) / sum(lengths)
@@ -353,7 +373,7 @@ def _joined(pieces: list[_Piece], cells: ArcCells, *, closed: bool) -> Shape:
     variance = np.average([piece.fit.noise.variance_mm2 for piece in pieces], weights=counts)
     return Shape(
         "free", curve, deviations, u, distances, scatters, edf, tuple(corners.tolist()),
-        float(variance),
+        replace(noise, variance_mm2=float(variance)),
     )  # fmt: skip
 
 

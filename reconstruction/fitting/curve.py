@@ -107,17 +107,16 @@ def finished(
     curve = nurbs_of(fit.control_mm, closed=fit.closed) if shape is None else shape.curve
     distances = fit.distances_mm if shape is None else shape.distances_mm
     scatters = fit.scatters_mm2 if shape is None else shape.scatters_mm2
-    seen = None if shape is None else shape.variance_mm2
-    variance = fit.noise.variance_mm2 if seen is None else seen
+    noise = fit.noise if shape is None or shape.noise is None else shape.noise
     held = cells.counts * (fit.weights > 0)
     square = float((held * (distances**2 + scatters)).sum())
     u = fit.t / fit.spans if shape is None else shape.u
     return FittedCurve(
         curve=curve,
         kind="free" if shape is None else shape.kind,
-        sigma_mm=float(np.sqrt(variance)),
+        sigma_mm=float(np.sqrt(noise.variance_mm2)),
         edf=fit.edf if shape is None else float(shape.freedom),
-        inflation=fit.noise.inflation,
+        inflation=noise.inflation,
         residual_rms_mm=float(np.sqrt(square / max(held.sum(), 1.0))),
         residual_max_mm=_farthest(curve, u[held > 0], cells.extremes_mm[held > 0]),
         points_used=round(float(held.sum())),

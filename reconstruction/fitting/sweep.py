@@ -29,6 +29,7 @@ def sweep(
     normals: FloatArray,
     t: FloatArray,
     counts: FloatArray,
+    independent: FloatArray,
     means: FloatArray,
     covariances: FloatArray,
     variances: FloatArray,
@@ -47,6 +48,8 @@ def sweep(
 
     Parameters
     ----------
+    counts, independent
+        (m,), points of each cell, and how many independent ones they are worth.
     variances
         (m,), of one point across the curve, at each cell; also taken as its variance along it.
     covariances
@@ -83,7 +86,7 @@ def sweep(
             z = math.fabs(distance) * math.sqrt(precision)
             share = min(max((_NONE - z) / (_NONE - _FULL), 0.0), 1.0)
         weights[m] = share * share * (3.0 - 2.0 * share)
-        scale = counts[m] * weights[m] * precision
+        scale = independent[m] * weights[m] * precision
         g = 1.0 - f
         b = (g * g * g / 6, (3 * f * f * f - 6 * f * f + 4) / 6,
              (3 * g * g * g - 6 * g * g + 4) / 6, f * f * f / 6)  # fmt: skip

@@ -11,8 +11,8 @@ from scipy.spatial import cKDTree
 from reconstruction.arrays import FloatArray
 from reconstruction.fitting.curve import Exact, FittedCurve
 from reconstruction.fitting.moments import cells_of_points
+from reconstruction.fitting.refitting import refitted
 from reconstruction.fitting.section import resolve_section
-from reconstruction.fitting.section_fit import refitted
 from reconstruction.nurbs import Curve, clamped_uniform, periodic_uniform
 from tests.reconstruction.fit_cases import (
     Outline,
