@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reconstruction.arrays import FloatArray, frozen
-from reconstruction.fitting.chain import Chain
 from reconstruction.fitting.moments import ArcCells
 from reconstruction.fitting.recognition import Shape
 from reconstruction.fitting.smoothing import Fit
@@ -87,30 +86,45 @@ class FittedCurve:
         return np.asarray(np.stack([-tangents[:, 1], tangents[:, 0]], axis=1) / lengths)
 
 
-def finished(fit: Fit, cells: ArcCells, shape: Shape | None, chain: Chain, far: int) -> FittedCurve:
-    """Put a fit and what was recognised in it into the value that is handed out."""
+def finished(
+    fit: Fit,
+    cells: ArcCells,
+    shape: Shape | None,
+    gap_ends_mm: FloatArray,
+    far: int,
+    *,
+    ambiguous: bool,
+) -> FittedCurve:
+    """Put a fit and what was recognised in it into the value that is handed out.
+
+    Parameters
+    ----------
+    gap_ends_mm
+        (k, 2, 2): the places between which nothing was measured.
+    far
+        How many points lay too far off to be in the cells.
+    """
     curve = nurbs_of(fit.control_mm, closed=fit.closed) if shape is None else shape.curve
     distances = fit.distances_mm if shape is None else shape.distances_mm
     scatters = fit.scatters_mm2 if shape is None else shape.scatters_mm2
-    seen = None if shape is None else shape.variance_mm2
-    variance = fit.noise.variance_mm2 if seen is None else seen
+    noise = fit.noise if shape is None or shape.noise is None else shape.noise
     held = cells.counts * (fit.weights > 0)
     square = float((held * (distances**2 + scatters)).sum())
     u = fit.t / fit.spans if shape is None else shape.u
     return FittedCurve(
         curve=curve,
         kind="free" if shape is None else shape.kind,
-        sigma_mm=float(np.sqrt(variance)),
+        sigma_mm=float(np.sqrt(noise.variance_mm2)),
         edf=fit.edf if shape is None else float(shape.freedom),
-        inflation=fit.noise.inflation,
+        inflation=noise.inflation,
         residual_rms_mm=float(np.sqrt(square / max(held.sum(), 1.0))),
         residual_max_mm=_farthest(curve, u[held > 0], cells.extremes_mm[held > 0]),
         points_used=round(float(held.sum())),
         outliers=far + round(float((cells.counts * (fit.weights <= 0)).sum())),
         deviations_mm=deviations_along(fit) if shape is None else shape.deviations_mm,
-        gaps=_gaps(curve, chain),
+        gaps=_gaps(curve, gap_ends_mm),
         creases=() if shape is None else shape.creases,
-        ambiguous=chain.ambiguous,
+        ambiguous=ambiguous,
         cells=cells,
         u=u,
     )
@@ -127,15 +141,13 @@ def _farthest(curve: Curve, u: FloatArray, extremes: FloatArray) -> float:
     return float(np.abs(across / lengths[:, None]).max())
 
 
-def _gaps(curve: Curve, chain: Chain) -> tuple[tuple[float, float], ...]:
-    """The stretches between the nodes on either side of each gap, in u."""
-    if not chain.gaps:
+def _gaps(curve: Curve, ends_mm: FloatArray) -> tuple[tuple[float, float], ...]:
+    """The stretches between the two ends of each gap, in u."""
+    if not len(ends_mm):
         return ()
     grid = np.linspace(*curve.domain, 2049)
     places = curve(grid)
-    nodes = chain.nodes_mm
-    ends = [(nodes[gap], nodes[(gap + 1) % len(nodes)]) for gap in chain.gaps]
-    return tuple((_nearest(grid, places, a), _nearest(grid, places, b)) for a, b in ends)
+    return tuple((_nearest(grid, places, a), _nearest(grid, places, b)) for a, b in ends_mm)
 
 
 def _nearest(grid: FloatArray, places: FloatArray, node: FloatArray) -> float:

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from reconstruction.arrays import FloatArray
 from reconstruction.fitting.moments import ArcCells
-from reconstruction.fitting.smoothing import Fit
+from reconstruction.fitting.smoothing import Fit, Noise
 from reconstruction.fitting.spline import evaluate
 from reconstruction.fitting.uncertainty import variances_at
 from reconstruction.nurbs import Curve, circle
@@ -76,14 +76,14 @@ class Shape:
     scatters_mm2: FloatArray  # (m,)
     freedom: float
     creases: tuple[float, ...] = ()  # in u
-    variance_mm2: float | None = None  # of a point, where it is another than the free curve's
+    noise: Noise | None = None  # where it is another than the free curve's
 
 
 def recognised(fit: Fit, cells: ArcCells) -> Shape | None:
     """Return the shape the points prefer to the free curve, if there is one."""
     held = cells.counts * fit.weights
     own = fit.noise.variance_mm2 * fit.noise.relative
-    data = _Data(cells.means_mm, held / (own * fit.noise.inflation), own, cells.covariances_mm2)
+    data = _Data(cells.means_mm, held / (own * fit.noise.kinship), own, cells.covariances_mm2)
     price = math.log(max(float(held.sum()) / fit.noise.inflation, 2.0))  # of a degree of freedom
     free = _misfit(data, fit.distances_mm, fit.scatters_mm2)
     best, least = None, math.inf

@@ -85,27 +85,29 @@ def require_curves(found: SectionFit, count: int) -> None:
 
 
 def resolve_section(
-    points_mm: ArrayLike, *, exact: Exact = Exact.AUTO, heights_mm: FloatArray | None = None
+    points_mm: ArrayLike, *, exact: Exact = Exact.AUTO, heights_mm: ArrayLike | None = None
 ) -> SectionFit:
     """Do what `fit_section` does, and say what became of every point; no curve is no error.
 
-    `heights_mm` (n,) of the points above the plane go into the curves' moments.
+    Parameters
+    ----------
+    heights_mm
+        (n,), true heights of the points above the cutting plane; kept as moments of the cells.
     """
     points, away_mm = _checked(points_mm)
+    heights = None if heights_mm is None else _checked_heights(heights_mm, len(points))
     if away_mm is None:
-        return _resolved(points, exact, heights_mm)
-    return _moved(_resolved(points - away_mm, exact, heights_mm), away_mm)
+        return _resolved(points, exact, heights)
+    return _moved(_resolved(points - away_mm, exact, heights), away_mm)
 
 
-def _resolved(points: FloatArray, exact: Exact, heights_mm: FloatArray | None) -> SectionFit:
+def _resolved(points: FloatArray, exact: Exact, heights: FloatArray | None) -> SectionFit:
     topology = find_chains(points)
-    groups = _grouped(points, topology)
-    heights = _heights_grouped(heights_mm, topology)
+    groups = _grouped(points, topology, heights)
     failures: list[str] = []
     fitted: dict[int, FittedCurve] = {}
     for number in _by_size(topology.chains):
-        chain = topology.chains[number]
-        curve = _fitted(groups[number], heights[number], chain, exact, failures)
+        curve = _fitted(*groups[number], topology.chains[number], exact, failures)
         if curve is not None:
             fitted[number] = curve
     return SectionFit(
@@ -164,28 +166,30 @@ def _checked(points_mm: ArrayLike) -> tuple[FloatArray, FloatArray | None]:
     return points, low if far else None
 
 
-def _grouped(points: FloatArray, topology: Topology) -> list[FloatArray]:
-    """The points of each chain."""
+def _checked_heights(heights_mm: ArrayLike, count: int) -> FloatArray:
+    """Heights as (n,) finite floats."""
+    heights = np.ascontiguousarray(heights_mm, dtype=np.float64)
+    if heights.shape != (count,):
+        raise ValueError(f"heights_mm: shape ({count},) expected, got {heights.shape}")
+    if not np.isfinite(heights).all():
+        raise Unfittable(f"a height of {count} points is not finite: set its point aside first")
+    return heights
+
+
+def _grouped(
+    points: FloatArray, topology: Topology, heights: FloatArray | None
+) -> list[tuple[FloatArray, FloatArray | None]]:
+    """The points of each chain, and their heights."""
     of, chains = topology.chain_of_point, len(topology.chains)
     counts = _count(of, chains)
     if chains == 1 and counts[0] == len(points):
-        return [points]
+        return [(points, heights)]
     borders = np.concatenate([[0], counts.cumsum()])
     grouped = _group(points, of, borders[:-1].copy(), int(borders[-1]))
-    return [grouped[a:b] for a, b in pairwise(borders)]
-
-
-def _heights_grouped(
-    heights_mm: FloatArray | None, topology: Topology
-) -> list[FloatArray] | list[None]:
-    """The heights of each chain's points, in the order of `_grouped`."""
-    if heights_mm is None:
-        return [None] * len(topology.chains)
-    of = topology.chain_of_point
-    heights = np.asarray(heights_mm, dtype=np.float64)
-    if heights.shape != of.shape:
-        raise ValueError(f"heights_mm: shape {of.shape} expected, got {heights.shape}")
-    return [heights[of == number] for number in range(len(topology.chains))]
+    if heights is None:
+        return [(grouped[a:b], None) for a, b in pairwise(borders)]
+    raised = _group(heights[:, None], of, borders[:-1].copy(), int(borders[-1])).ravel()
+    return [(grouped[a:b], raised[a:b]) for a, b in pairwise(borders)]
 
 
 def _by_size(chains: tuple[Chain, ...]) -> list[int]:
@@ -205,7 +209,7 @@ def _area_mm2(chain: Chain) -> float:
 
 def _fitted(
     points: FloatArray,
-    heights_mm: FloatArray | None,
+    heights: FloatArray | None,
     chain: Chain,
     exact: Exact,
     failures: list[str],
@@ -213,7 +217,7 @@ def _fitted(
     """The curve of a chain; where it has none, why goes to `failures`: the others are kept."""
     try:
         with np.errstate(all="ignore"):  # what is not finite is refused below
-            curve = fit_chain(points, chain, exact=exact, heights_mm=heights_mm)
+            curve = fit_chain(points, chain, exact=exact, heights_mm=heights)
     except (ReconstructionError, ValueError, ArithmeticError) as why:
         failures.append(str(why))
         return None
@@ -234,13 +238,15 @@ def _count(chain_of_point: Int32Array, chains: int) -> IntArray:
 
 @njit(cache=True, nogil=True)
 def _group(
-    points: FloatArray, chain_of_point: Int32Array, places: IntArray, count: int
+    rows: FloatArray, chain_of_point: Int32Array, places: IntArray, count: int
 ) -> FloatArray:
-    """Points by chain, in their order; `places` are where each chain begins, and are used up."""
-    grouped = np.empty((count, 2))
-    for n in range(len(points)):
+    """Rows by chain, in their order; `places` are where each chain begins, and are used up."""
+    width = rows.shape[1]
+    grouped = np.empty((count, width))
+    for n in range(len(rows)):
         chain = chain_of_point[n]
         if chain >= 0:
-            grouped[places[chain]] = points[n]
+            for column in range(width):
+                grouped[places[chain], column] = rows[n, column]
             places[chain] += 1
     return grouped

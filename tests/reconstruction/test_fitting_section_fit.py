@@ -127,6 +127,20 @@ def test_an_open_run_ends_where_its_points_end() -> None:
     assert np.abs(ends).max() < 1.2
 
 
+@pytest.mark.parametrize("closed", [True, False], ids=["closed", "open"])
+def test_a_node_that_stands_far_out_of_its_chain_draws_no_loop(
+    closed: bool,  # noqa: FBT001
+) -> None:
+    outline = superformula() if closed else wave()
+    points, share = noisy(outline, 1000, 0.3, 16)
+    chain = chain_of(points, share, 0.3, closed=closed)
+    nodes = chain.nodes_mm.copy()
+    nodes[30] += [12.0, 9.0]
+    spiked = Chain(nodes, chain.sigma_mm, closed)
+    places = fitted(points, spiked)(EVEN)
+    np.testing.assert_array_less(distances_to(places[5:-5], outline), 0.4)
+
+
 def test_heights_are_kept_as_moments_not_flattened() -> None:
     points, share = noisy(circle(), 20_000, 0.2, 12)
     heights = 5 + 0.1 * points[:, 0]

@@ -111,10 +111,10 @@ def test_a_chain_without_a_curve_does_not_cost_the_others(
     inner = np.flatnonzero(np.hypot(*points.T) < 34.0)
     real = section.fit_chain
 
-    def failing(points: FloatArray, chain: Chain, **options: object) -> FittedCurve:
+    def failing(points: FloatArray, chain: Chain, *, exact: Exact, heights_mm: None) -> FittedCurve:
         if np.hypot(*chain.nodes_mm.T).max() < 34.0:
             raise np.linalg.LinAlgError("singular")
-        return real(points, chain, **options)
+        return real(points, chain, exact=exact)
 
     monkeypatch.setattr(section, "fit_chain", failing)
     found = resolve_section(points)
@@ -126,7 +126,7 @@ def test_a_chain_without_a_curve_does_not_cost_the_others(
 def test_where_no_chain_has_a_curve_the_error_says_why(
     rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def failing(points: FloatArray, chain: Chain, **options: object) -> FittedCurve:
+    def failing(points: FloatArray, chain: Chain, *, exact: Exact, heights_mm: None) -> FittedCurve:
         raise TooFewPoints("the reason")
 
     monkeypatch.setattr(section, "fit_chain", failing)
@@ -139,8 +139,8 @@ def test_a_curve_that_is_not_finite_is_none(
 ) -> None:
     real = section.fit_chain
 
-    def lost(points: FloatArray, chain: Chain, **options: object) -> FittedCurve:
-        curve = real(points, chain, **options)
+    def lost(points: FloatArray, chain: Chain, *, exact: Exact, heights_mm: None) -> FittedCurve:
+        curve = real(points, chain, exact=exact)
         broken = np.full_like(curve.curve.control_points_mm, np.nan)
         object.__setattr__(curve.curve, "control_points_mm", broken)
         return curve
@@ -159,9 +159,9 @@ def test_points_that_are_all_of_one_chain_are_not_copied(
     points, given = cloud(ellipse(40.0, 30.0), rng, per_mm=40.0, band_mm=BAND_MM), []
     real = section.fit_chain
 
-    def noting(points: FloatArray, chain: Chain, **options: object) -> FittedCurve:
+    def noting(points: FloatArray, chain: Chain, *, exact: Exact, heights_mm: None) -> FittedCurve:
         given.append(points)
-        return real(points, chain, **options)
+        return real(points, chain, exact=exact)
 
     monkeypatch.setattr(section, "fit_chain", noting)
     fit_section(points)
