@@ -10,14 +10,19 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import median_filter
+from scipy.spatial import cKDTree
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
+from reconstruction.fitting.frames import frames
 from reconstruction.fitting.linking import Runs, link
 from reconstruction.fitting.places import Places
 from reconstruction.fitting.spanning import span
 
-_REACHES = (0.9, 1.25, 1.75, 2.5, 3.5, 5.0)  # spacings
+_REACHES = (0.65, 0.9, 1.25, 1.75, 2.5, 3.5, 5.0)  # spacings
 _REACHES_CELLS = (1.75, 2.5, 3.5, 5.0)
+HOODS = (6, 9, 13, 19, 27)
+_SLENDERNESS = 1.5
+_AHEAD = 3.0
 _THROUGH = 1.2  # thicknesses: a reach must look through the band
 _FLAWED = 0.01  # flaws a slab up to which a reach is taken for the right one
 _COARSE = 8  # slabs a run below which the reach may have been too large
@@ -66,10 +71,11 @@ def _banded(places: Places) -> Order:
     in_cells = places.heaps is not None
     cap = (_SPARSE_CELLS if in_cells else _SPARSE) * _middling(places.spacing, places.counts)
     best, fewest = None, np.inf
+    seen = _seen(places)
     for factor in _REACHES_CELLS if in_cells else _REACHES:
         reach = np.maximum(factor * np.minimum(places.spacing, cap), _THROUGH * places.thickness)
-        runs = link(places.at, reach)
-        found = Order(runs, reach, _are_runs(places, runs))
+        runs = link(places.at, reach, seen)
+        found = Order(runs, reach * (1.0 + seen[:, 2]) / 2.0, _are_runs(places, runs))
         share = _flaw_share(places, found)
         if share < fewest:
             best, fewest = found, share
@@ -77,6 +83,13 @@ def _banded(places: Places) -> Order:
             break
     assert best is not None
     return best
+
+
+def _seen(places: Places) -> FloatArray:
+    neighbours = cKDTree(places.at).query(places.at, k=min(HOODS[-1], len(places.at)))[1]
+    found = frames(places.at, np.asarray(neighbours), np.array(HOODS))
+    found[:, 2] = np.clip(found[:, 3] / _SLENDERNESS, 1.0, _AHEAD)
+    return np.ascontiguousarray(found[:, :3])
 
 
 def _points_of(places: Places, runs: Runs) -> FloatArray:

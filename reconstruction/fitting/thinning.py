@@ -20,10 +20,13 @@ from reconstruction.arrays import BoolArray, FloatArray, IntArray
 _ROUNDS = 2
 _STEP = 0.5  # reaches from node to node
 _HOLE = 1.5  # reaches without a point: no node is put there, where it would hang in the air
-_GAP = 3.0  # reaches without a point: the chain says so
+_GAP = 3.0  # reaches between nodes beside a hole ...
+_BESIDE = 8  # points on either side of a hole tell how far apart they usually are ...
+_SILENT = 4.0  # ... and it is a gap from so many times that
 _THICK = 5.0  # standard deviations: no reach is shorter, or noise would bend the row
 _BROAD = 10.0  # standard deviations: nor sees a parabola less far to either side
 _WINDOW = 1.25  # reaches to either side of a node that its parabola sees; at most twice that
+_ENOUGH = 24  # points in a window: more need no wider one
 _LEAST_POINTS = 4  # in a window; it grows until it has them
 _PARABOLA = 8.0  # points; fewer in a window get a line
 _FAR = 4.0  # standard deviations: farther across, a point has no say
@@ -31,6 +34,7 @@ _FEW = 16  # places in a window, among which a stray must be looked for one by o
 _WORSE = 1.25  # ... and how much farther than far it must be from the others' fit
 _EXACT = 1e-9  # of the slice's size: noise of the arithmetic
 _SUPPORT = 4  # points close by, with which a node may lie anywhere; with fewer, ...
+_SCANT = 6.0  # times fewer than usual around
 _BULGE = 2.5  # ... no more standard deviations than this from the nodes beside it
 _STEADY = 15  # nodes over whose spreads the median is taken
 
@@ -108,11 +112,14 @@ def _gaps_among(kept: BoolArray, gaps: tuple[int, ...], *, closed: bool) -> tupl
 
 
 def _supported(along: FloatArray, grid: FloatArray, period: float) -> BoolArray:
-    """Whether more than a point or two lie close to each place of the grid."""
-    if period < np.inf:
+    """Whether more than a point or two lie close to each place of the grid, and not far fewer
+    than around."""
+    closed = period < np.inf
+    if closed:
         along = np.concatenate([along - period, along, along + period])
     held = np.searchsorted(along, grid + _STEP, "right") - np.searchsorted(along, grid - _STEP)
-    return np.asarray(held >= _SUPPORT)
+    usual = median_filter(held, size=_STEADY, mode="wrap" if closed else "nearest")
+    return np.asarray(held >= np.maximum(_SUPPORT, usual / _SCANT))
 
 
 def _levelled(
@@ -162,13 +169,22 @@ def _grid_between(along: FloatArray, period: float) -> tuple[FloatArray, tuple[i
         for start, end in zip(starts, ends, strict=True)
     ]
     grid = np.concatenate(pieces)
-    wide = np.append(starts[1:], starts[0] + period) - ends > _GAP
+    wide = _are_gaps(along, np.append(breaks, len(along) - 1), period)
     gaps = (np.cumsum([len(piece) for piece in pieces]) - 1)[wide]
     if not closed:
         return grid, tuple(gaps[:-1].tolist())
     grid = np.mod(grid, period)
     first = int(np.argmin(grid))
     return np.roll(grid, -first), tuple(sorted(((gaps - first) % len(grid)).tolist()))
+
+
+def _are_gaps(along: FloatArray, breaks: IntArray, period: float) -> BoolArray:
+    """Whether the holes after these points are wider than their neighbours' ways explain."""
+    ways = np.diff(along, append=along[0] + period if period < np.inf else np.inf)
+    beside = np.concatenate([np.arange(-_BESIDE, 0), np.arange(1, _BESIDE + 1)])
+    around = ways[(breaks[:, None] + beside) % len(ways)]
+    usual = np.sort(np.where(np.isfinite(around), around, 0.0), axis=1)[:, -2]
+    return np.asarray(ways[breaks] > _SILENT * usual)
 
 
 def _without_tails(along: FloatArray) -> FloatArray:
@@ -238,8 +254,11 @@ def _regress(
     count = len(along)
     middles, sigma = np.empty((len(grid), 2)), np.empty(len(grid))
     for g in range(len(grid)):
-        window = windows[g]
+        window = _WINDOW
         first, last = _within(along, grid[g], window, period)
+        while last - first < _ENOUGH and window < windows[g]:
+            window = min(1.25 * window, windows[g])
+            first, last = _within(along, grid[g], window, period)
         while last - first < min(_LEAST_POINTS, count) and window < 1e6:
             window *= 1.5
             first, last = _within(along, grid[g], window, period)
