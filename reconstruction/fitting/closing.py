@@ -267,7 +267,8 @@ def _may_close(row: Row) -> bool:
     arm = row.nodes[0] - row.nodes[-1]
     share = math.hypot(*arm) / max(row.length + math.hypot(*arm), 1e-300)
     hopeful = _turn(_outward(row, 1), arm, _outward(row, 0)) <= _HOPELESS
-    return (hopeful or share > _WIDE) and share <= _OPEN and not _crosses(row)
+    unseen = math.hypot(*arm) > _UNSEEN * max(row.sigma[0], row.sigma[-1])
+    return (hopeful or unseen or share > _WIDE) and share <= _OPEN and not _crosses(row)
 
 
 def _passes(row: Row, crumb: Row) -> bool:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from reconstruction.arrays import FloatArray, IntArray
+from reconstruction.arrays import BoolArray, FloatArray, IntArray
 
 Graph = list[set[int]]  # neighbours of each slab
 
@@ -38,12 +38,9 @@ class Runs:
     flaws: int = 0  # spurs, holes and junctions on the way
 
 
-def link(places: FloatArray, reach: FloatArray, frames: FloatArray | None = None) -> Runs:
-    """Find the runs among places (m, 2), of which each sees as far as its reach (m,).
-
-    Frames (m, 3) hold a direction, and how many times as far a place sees along it.
-    """
-    slab_of_place, pairs, levels = _flood(*neighbours_of(places, reach, frames))
+def link(places: FloatArray, starts: IntArray, neighbours: IntArray) -> Runs:
+    """Find the runs among places (m, 2) of which the neighbours are known."""
+    slab_of_place, pairs, levels = _flood(starts, neighbours)
     graph: Graph = [set() for _ in levels]
     for one, other in pairs.tolist():
         graph[one].add(other)
@@ -65,7 +62,11 @@ def link(places: FloatArray, reach: FloatArray, frames: FloatArray | None = None
 def neighbours_of(
     places: FloatArray, reach: FloatArray, frames: FloatArray | None = None
 ) -> tuple[IntArray, IntArray]:
-    """Neighbours of place i: ``neighbours[starts[i]:starts[i + 1]]``; both must see each other."""
+    """Neighbours of place i: ``neighbours[starts[i]:starts[i + 1]]``; both must see each other.
+
+    Places (m, 2) see as far as their reach (m,). Frames (m, 3) hold a direction, and how many times
+    as far a place sees along it.
+    """
     low = places.min(axis=0)
     sides = places.max(axis=0) - low
     # The usual reach, not the widest: a wide one looks through more buckets.
@@ -74,6 +75,14 @@ def neighbours_of(
     edge = max(float(np.median(reach)), float(sides.max()) / 1000, 1e-300)
     shape = np.floor(sides / edge).astype(np.int64) + 1
     return _neighbours(places, reach, frames, low, edge, int(shape[0]), int(shape[1]))
+
+
+def apart(starts: IntArray, neighbours: IntArray, kind: BoolArray) -> tuple[IntArray, IntArray]:
+    """Neighbours of the same kind only."""
+    own = np.repeat(np.arange(len(kind)), np.diff(starts))
+    kept = kind[neighbours] == kind[own]
+    held = np.bincount(own[kept], minlength=len(kind))
+    return np.concatenate([[0], held.cumsum()]), neighbours[kept]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

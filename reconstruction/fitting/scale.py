@@ -6,6 +6,8 @@ apart. Nobody need give it: from small to large, the first that leaves next to n
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,36 +16,51 @@ from scipy.spatial import cKDTree
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
 from reconstruction.fitting.frames import frames
-from reconstruction.fitting.linking import Runs, link
+from reconstruction.fitting.linking import Runs, apart, link, neighbours_of
 from reconstruction.fitting.places import Places
 from reconstruction.fitting.spanning import span
+from reconstruction.fitting.thinning import Row, thin
 
 _REACHES = (0.65, 0.9, 1.25, 1.75, 2.5, 3.5, 5.0)  # spacings
 _REACHES_CELLS = (1.75, 2.5, 3.5, 5.0)
-HOODS = (6, 9, 13, 19, 27)
-_SLENDERNESS = 1.5
-_AHEAD = 3.0
-_THROUGH = 1.2  # thicknesses: a reach must look through the band
+_HOODS = (6, 9, 13, 19, 27)  # neighbours that may tell a direction
+_SLENDER_HOOD = 1.5  # slenderness up to which a place sees no farther along than across ...
+_AHEAD = 3.0  # ... and how much farther at most
+_THROUGH = 1.2  # thicknesses: a reach must look through the band in cells ...
+_ACROSS = 1.0  # ... and of points
+_FARTHER = 1.05  # times as far as before: nearly the same need not be tried
 _FLAWED = 0.01  # flaws a slab up to which a reach is taken for the right one
 _COARSE = 8  # slabs a run below which the reach may have been too large
 _LOST = 0.02  # share of the points that may be strays
 _SPARSE = 12.0  # times the usual spacing: who is lonelier does not look for neighbours farther off
 _SPARSE_CELLS = 5.0
+_LONELY = 20.0  # times fewer points in sight than usual: no neighbour of those in the band
+_SCATTERED = 1 / 8  # of the usual number of points on a length, and ...
+_ROUND = 2.0  # ... a slenderness on the average no more than this: a cloud of strays
 _SLENDER = 0.02  # A run with no more than this share of the points ...
 _THIN = 1 / 12  # ... and this share of the usual number of them in a slab is a row of strays.
 _FEW = 600  # places that may go in single file
 _EVEN = 7  # steps over which the median is taken, in single file
-LEAST_SLABS = 3  # of a run: fewer have no order
+_LEAST_POINTS = 5  # in a run
+_LEAST_SLABS = 3  # of a run: fewer have no order
 _LEAST_LOOP = 4  # slabs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Order:
-    """Runs of places, and which of them are none."""
+    """Runs of places, and the rows of those that are some."""
 
+    runs: Runs
+    rows: tuple[Row | None, ...]  # of each run; None: too short or too thin to be one
+    share: float  # of what is wrong
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Trial:
     runs: Runs
     reach: FloatArray  # (m,), of every place
     ordered: BoolArray  # (runs,), False: too short or too thin to be one
+    share: float
 
 
 def order(places: Places) -> Order:
@@ -63,63 +80,139 @@ def _single_file(places: Places, files: list[IntArray]) -> Order:
         run_of_place[file], slot_of_place[file] = number, np.arange(len(file))
     lengths = np.array([len(file) for file in files])
     runs = Runs(run_of_place, slot_of_place, lengths, (False,) * len(files))
-    return Order(runs, reach, np.ones(len(files), np.bool_))
+    return Order(runs, _rows(places, runs, reach, np.ones(len(files), np.bool_))[0], 0.0)
 
 
 def _banded(places: Places) -> Order:
     """Link with the smallest reach that leaves hardly a flaw; failing that, the fewest flaws."""
-    in_cells = places.heaps is not None
-    cap = (_SPARSE_CELLS if in_cells else _SPARSE) * _middling(places.spacing, places.counts)
-    best, fewest = None, np.inf
-    seen = _seen(places)
-    for factor in _REACHES_CELLS if in_cells else _REACHES:
-        reach = np.maximum(factor * np.minimum(places.spacing, cap), _THROUGH * places.thickness)
-        runs = link(places.at, reach, seen)
-        found = Order(runs, reach * (1.0 + seen[:, 2]) / 2.0, _are_runs(places, runs))
-        share = _flaw_share(places, found)
-        if share < fewest:
-            best, fewest = found, share
-        if share <= _FLAWED:
-            break
+    rest = []
+    for trial in _trials(places):
+        rest.append(trial)
+        if trial.share <= _FLAWED:
+            found = _order(places, trial)
+            if found.share <= _FLAWED:
+                return found
+    # Thinning takes longer than linking: only those that may still be the best.
+    best = None
+    for trial in sorted(rest, key=lambda trial: trial.share):
+        if best is None or trial.share < best.share:
+            found = _order(places, trial)
+            best = found if best is None or found.share < best.share else best
     assert best is not None
     return best
 
 
-def _seen(places: Places) -> FloatArray:
-    neighbours = cKDTree(places.at).query(places.at, k=min(HOODS[-1], len(places.at)))[1]
-    found = frames(places.at, np.asarray(neighbours), np.array(HOODS))
-    found[:, 2] = np.clip(found[:, 3] / _SLENDERNESS, 1.0, _AHEAD)
-    return np.ascontiguousarray(found[:, :3])
+def _trials(places: Places) -> Iterator[_Trial]:
+    in_cells = places.heaps is not None
+    cap = (_SPARSE_CELLS if in_cells else _SPARSE) * _middling(places.spacing, places.counts)
+    seen, across = _seen(places)
+    through = _THROUGH * places.thickness if in_cells else _ACROSS * across
+    last = 0.0
+    for factor in _REACHES_CELLS if in_cells else _REACHES:
+        reach = np.maximum(factor * np.minimum(places.spacing, cap), through)
+        typical = _middling(reach, places.counts)
+        if typical > _FARTHER * last:
+            yield _linked(places, reach, seen)
+            last = typical
 
 
-def _points_of(places: Places, runs: Runs) -> FloatArray:
-    """How many points each run holds."""
-    held = runs.run_of_place >= 0
+def _linked(places: Places, reach: FloatArray, seen: FloatArray) -> _Trial:
+    """The runs that a reach makes, and what is wrong with them."""
+    starts, neighbours = neighbours_of(places.at, reach, np.ascontiguousarray(seen[:, :3]))
+    in_sight = places.counts + _sums(places.counts, starts, neighbours)
+    lonely = in_sight < _middling(in_sight, places.counts) / _LONELY
+    if lonely.any():
+        starts, neighbours = apart(starts, neighbours, lonely)
+    runs = link(places.at, starts, neighbours)
+    along = reach * (1.0 + seen[:, 2]) / 2.0
+    ordered = _are_runs(places, runs, along, seen[:, 3])
+    return _Trial(runs, along, ordered, _flaw_share(places, runs, ordered, lonely))
+
+
+def _order(places: Places, trial: _Trial) -> Order:
+    rows, off = _rows(places, trial.runs, trial.reach, trial.ordered)
+    return Order(trial.runs, rows, trial.share + off)
+
+
+def _sums(values: IntArray, starts: IntArray, neighbours: IntArray) -> IntArray:
+    """Sum of the values of each place's neighbours."""
+    sums = np.concatenate([[0], values[neighbours].cumsum()])
+    return np.asarray(sums[starts[1:]] - sums[starts[:-1]])
+
+
+def _seen(places: Places) -> tuple[FloatArray, float]:
+    """Direction of each place, how many times as far as across it sees along it; the band's width.
+
+    The width is that of bands a few places wide; of others it is too small.
+    """
+    neighbours = cKDTree(places.at).query(places.at, k=min(_HOODS[-1], len(places.at)))[1]
+    found = frames(places.at, np.asarray(neighbours), np.array(_HOODS))
+    width = math.sqrt(12.0) * _middling(found[:, 2], places.counts)
+    found[:, 2] = np.clip(found[:, 3] / _SLENDER_HOOD, 1.0, _AHEAD)
+    return found, width
+
+
+def _rows(
+    places: Places, runs: Runs, reach: FloatArray, ordered: BoolArray
+) -> tuple[tuple[Row | None, ...], float]:
+    """Thin each run to a row; the share of the points that lie far from the row of their run."""
+    run, slot, scale = (
+        v[places.place_of_sample] for v in (runs.run_of_place, runs.slot_of_place, reach)
+    )
+    by_run = np.argsort(run, kind="stable")
+    borders = np.searchsorted(run[by_run], np.arange(len(runs.lengths) + 1))
+    rows: list[Row | None] = []
+    off = 0
+    for number, (count, closed) in enumerate(zip(runs.lengths, runs.closed, strict=True)):
+        mine = by_run[borders[number] : borders[number + 1]]
+        row = None
+        if ordered[number] and len(mine) >= _LEAST_POINTS:
+            row, far = thin(places.sample[mine], slot[mine], scale[mine], int(count), closed=closed)
+            off += far
+        rows.append(row)
+    return tuple(rows), off / max(len(run), 1)
+
+
+def _points_of(places: Places, runs: Runs, among: BoolArray) -> FloatArray:
+    """How many points each run holds among some places."""
+    held = (runs.run_of_place >= 0) & among
     counts = np.bincount(runs.run_of_place[held], places.counts[held], len(runs.lengths))
     return np.asarray(counts, dtype=np.float64)
 
 
-def _are_runs(places: Places, runs: Runs) -> BoolArray:
-    points = _points_of(places, runs)
-    density = points / runs.lengths
+def _are_runs(places: Places, runs: Runs, reach: FloatArray, slender: FloatArray) -> BoolArray:
+    """Whether a run is long enough, and no row of strays."""
+    held = runs.run_of_place >= 0
+
+    def mean(values: FloatArray) -> FloatArray:
+        sums = np.bincount(runs.run_of_place[held], values[held], len(runs.lengths))
+        return np.asarray(sums / np.maximum(np.bincount(runs.run_of_place[held]), 1))
+
+    points = _points_of(places, runs, np.ones(len(places.at), np.bool_))
+    in_slabs = points / runs.lengths
+    on_length = in_slabs / mean(reach)
     # By points, not by slabs: strays may make more slabs than a band.
-    thin = (density < _THIN * _middling(density, points)) & (points < _SLENDER * points.sum())
-    least = np.where(runs.closed, _LEAST_LOOP, LEAST_SLABS)
-    return np.asarray((runs.lengths >= least) & ~thin)
+    few = (in_slabs < _THIN * _middling(in_slabs, points)) & (points < _SLENDER * points.sum())
+    scattered = on_length < _SCATTERED * _middling(on_length, points)
+    scattered &= mean(np.minimum(slender, 2.0 * _ROUND)) < _ROUND
+    least = np.where(runs.closed, _LEAST_LOOP, _LEAST_SLABS)
+    return np.asarray((runs.lengths >= least) & ~few & ~scattered)
 
 
-def _flaw_share(places: Places, found: Order) -> float:
+def _flaw_share(places: Places, runs: Runs, ordered: BoolArray, lonely: BoolArray) -> float:
     """Flaws and needless pieces a slab, and the points that are lost beyond what strays explain."""
-    points = _points_of(places, found.runs)
-    slabs = int(found.runs.lengths[found.ordered].sum())
-    pieces = int(found.ordered.sum())
-    lost = 1.0 - float(points[found.ordered].sum()) / float(places.counts.sum())
+    points = _points_of(places, runs, ~lonely)
+    slabs = int(runs.lengths[ordered].sum())
+    pieces = int(ordered.sum())
+    # A loop is no piece of anything, unless it is one around a hole in a band.
+    needless = int((ordered & ~(np.array(runs.closed, np.bool_) & (runs.lengths > _COARSE))).sum())
+    lost = 1.0 - float(points[ordered].sum()) / float(places.counts[~lonely].sum())
     # One piece, or one flaw, too many is no sign of a wrong scale; runs of a few slabs are.
-    flaws = max(found.runs.flaws + pieces - 2, 0) + (pieces if slabs < _COARSE * pieces else 0)
+    flaws = max(runs.flaws + needless - 2, 0) + (pieces if slabs < _COARSE * pieces else 0)
     return flaws / max(slabs, 1) + max(lost - _LOST, 0.0)
 
 
-def _middling(values: FloatArray, weights: IntArray | FloatArray) -> float:
+def _middling(values: FloatArray | IntArray, weights: IntArray | FloatArray) -> float:
     """Weighted median."""
     order = np.argsort(values)
     heights = weights[order].cumsum()

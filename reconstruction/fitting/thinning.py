@@ -60,8 +60,11 @@ class Row:
 
 def thin(
     places: FloatArray, slots: IntArray, reach: FloatArray, count: int, *, closed: bool
-) -> Row:
-    """Thin the places (k, 2) of one run, each in one of `count` slabs in order, to nodes."""
+) -> tuple[Row, int]:
+    """Thin the places (k, 2) of one run, each in one of `count` slabs in order, to nodes.
+
+    And say how many places lie far from where their row then runs.
+    """
     held = np.bincount(slots, minlength=count)
     used = held > 0
     sums = [np.bincount(slots, v, count)[used] for v in (places[:, 0], places[:, 1], reach)]
@@ -70,7 +73,7 @@ def thin(
     at = (np.cumsum(used) - 1)[slots]
     for _ in range(_ROUNDS):
         row, at = _thinned(places, row, at)
-    return row
+    return row, _far_off(places, row, at)
 
 
 def thin_again(places: FloatArray, row: Row) -> Row:
@@ -78,9 +81,18 @@ def thin_again(places: FloatArray, row: Row) -> Row:
     return _thinned(places, row, np.asarray(cKDTree(row.nodes).query(places)[1]))[0]
 
 
+def _far_off(places: FloatArray, row: Row, at: IntArray) -> int:
+    """How many places lie farther from a row than its points scatter."""
+    if len(row.nodes) < 2:
+        return 0
+    away = _lay_along(places, row, at)[2]
+    spread = row.sigma[np.clip(at, 0, len(row.sigma) - 1)]
+    return int((away > _FAR * spread + _EXACT).sum())
+
+
 def _thinned(places: FloatArray, row: Row, at: IntArray) -> tuple[Row, IntArray]:
     """One round: new nodes, and after which of them each place lies."""
-    along, ups = _lay_along(places, row, at)
+    along, ups, _ = _lay_along(places, row, at)
     period = float(ups[-1]) if row.closed else np.inf
     order = np.argsort(along, kind="stable")
     grid, gaps = _grid_between(along[order], period)
@@ -194,25 +206,29 @@ def _without_tails(along: FloatArray) -> FloatArray:
     return inner if inner[-1] > inner[0] else np.array([inner[0], inner[0] + _STEP])
 
 
-def _lay_along(places: FloatArray, row: Row, at: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Where each place lies along the row, in reaches; and the row's nodes."""
+def _lay_along(
+    places: FloatArray, row: Row, at: IntArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Where each place lies along the row, in reaches; the row's nodes; and how far off it lies."""
     ring = np.vstack([row.nodes, row.nodes[:1]]) if row.closed else row.nodes
     scales = np.append(row.reach, row.reach[0]) if row.closed else row.reach
     steps = np.linalg.norm(np.diff(ring, axis=0), axis=1)
     steps = 2.0 * steps / np.maximum(scales[1:] + scales[:-1], 1e-300)
     ups = np.concatenate([[0.0], np.cumsum(np.maximum(steps, 1e-9))])
     if len(ring) == 1:
-        return np.zeros(len(places)), ups
-    return _project(places, ring, ups, at, closed=row.closed), ups
+        away = np.linalg.norm(places - ring[0], axis=1)
+        return np.zeros(len(places)), ups, away
+    along, away = _project(places, ring, ups, at, closed=row.closed)
+    return along, ups, away
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _project(
     places: FloatArray, ring: FloatArray, ups: FloatArray, at: IntArray, *, closed: bool
-) -> FloatArray:
-    """Foot of each place on the segments around the one it is said to be at."""
+) -> tuple[FloatArray, FloatArray]:
+    """Foot of each place on the segments around the one it is said to be at, and how far off."""
     segments = len(ring) - 1
-    along = np.empty(len(places))
+    along, off = np.empty(len(places)), np.empty(len(places))
     for n in range(len(places)):
         best = np.inf
         middle = min(max(at[n], 0), segments - 1)
@@ -235,7 +251,8 @@ def _project(
             if away < best:
                 best = away
                 along[n] = ups[k] + f * (ups[k + 1] - ups[k])
-    return along
+        off[n] = math.sqrt(best)
+    return along, off
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

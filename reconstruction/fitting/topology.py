@@ -24,9 +24,8 @@ from reconstruction.fitting.chain import Chain
 from reconstruction.fitting.closing import Joined, join
 from reconstruction.fitting.places import Places, look_at
 from reconstruction.fitting.scale import Order, order
-from reconstruction.fitting.thinning import Row, thin, thin_again
+from reconstruction.fitting.thinning import Row, thin_again
 
-_LEAST_POINTS = 5  # in a run
 _HEAP = 10  # points; fewer without an order are strays
 _STOUT = 6.0  # full bands: a run no longer than this is a heap
 _LARGEST_MM = 1e100  # coordinates beyond are no lengths; their squares must stay finite
@@ -89,7 +88,7 @@ def find_chains(points_mm: ArrayLike) -> Topology:
         raise ValueError("points must be finite lengths in mm: set NaN and infinity aside first")
     places = look_at(points, low, high)
     found = order(places)
-    rows, row_of_run = _rows(places, found)
+    rows, row_of_run = _rows_of(places, found)
     kept, chain_of_row = _kept(places, found, rows, row_of_run)
     # The last entries answer for what has no row, and no run: -1, -2.
     chain_of_run = np.append(np.append(chain_of_row, [UNORDERED, STRAY])[row_of_run], STRAY)
@@ -117,24 +116,17 @@ def _kept(
     return kept, chain_of_row
 
 
-def _rows(places: Places, found: Order) -> tuple[list[Row], IntArray]:
-    """Thin each run; the row of each run, or STRAY or UNORDERED."""
+def _rows_of(places: Places, found: Order) -> tuple[list[Row], IntArray]:
+    """The rows; and the row of each run, or STRAY or UNORDERED."""
     runs = found.runs
-    run, slot = (v[places.place_of_sample] for v in (runs.run_of_place, runs.slot_of_place))
-    reach = found.reach[places.place_of_sample]
-    row_of_run = np.full(len(runs.lengths), STRAY)
-    by_run = np.argsort(run, kind="stable")
-    borders = np.searchsorted(run[by_run], np.arange(len(runs.lengths) + 1))
+    sampled = runs.run_of_place[places.place_of_sample]
+    held = np.bincount(sampled[sampled >= 0], minlength=len(runs.lengths))
+    row_of_run = np.where(held >= _HEAP, UNORDERED, STRAY)
     rows: list[Row] = []
-    for number, (count, closed) in enumerate(zip(runs.lengths, runs.closed, strict=True)):
-        mine = by_run[borders[number] : borders[number + 1]]
-        if found.ordered[number] and len(mine) >= _LEAST_POINTS:
+    for number, row in enumerate(found.rows):
+        if row is not None:
             row_of_run[number] = len(rows)
-            rows.append(
-                thin(places.sample[mine], slot[mine], reach[mine], int(count), closed=closed)
-            )
-        elif len(mine) >= _HEAP:
-            row_of_run[number] = UNORDERED
+            rows.append(row)
     return rows, row_of_run
 
 
