@@ -36,6 +36,7 @@ _SPARSE = 12.0  # times the usual spacing: who is lonelier does not look for nei
 _SPARSE_CELLS = 5.0
 _LONELY = 20.0  # times fewer points in sight than usual: no neighbour of those in the band
 _SCATTERED = 1 / 8  # of the usual number of points on a length, and ...
+_ALIKE = 9  # places that share what they scatter
 _ROUND = 2.0  # ... a slenderness on the average no more than this: a cloud of strays
 _SLENDER = 0.02  # A run with no more than this share of the points ...
 _THIN = 1 / 12  # ... and this share of the usual number of them in a slab is a row of strays.
@@ -53,6 +54,16 @@ class Order:
     runs: Runs
     rows: tuple[Row | None, ...]  # of each run; None: too short or too thin to be one
     share: float  # of what is wrong
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sight:
+    """What each place sees around it."""
+
+    frames: FloatArray  # (m, 3), a direction, and how many times as far it sees along it
+    slenderness: FloatArray  # (m,)
+    scatter: FloatArray  # (m,), standard deviation across; infinite where there is no direction
+    width: float  # of the band, if it is a few places wide; else too small
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,57 +91,56 @@ def _single_file(places: Places, files: list[IntArray]) -> Order:
         run_of_place[file], slot_of_place[file] = number, np.arange(len(file))
     lengths = np.array([len(file) for file in files])
     runs = Runs(run_of_place, slot_of_place, lengths, (False,) * len(files))
-    return Order(runs, _rows(places, runs, reach, np.ones(len(files), np.bool_))[0], 0.0)
+    return Order(runs, _rows(places, runs, reach, np.full(len(reach), np.inf), np.ones(len(files), np.bool_))[0], 0.0)
 
 
 def _banded(places: Places) -> Order:
     """Link with the smallest reach that leaves hardly a flaw; failing that, the fewest flaws."""
-    rest = []
-    for trial in _trials(places):
+    rest, sight = [], _looked_around(places)
+    for trial in _trials(places, sight):
         rest.append(trial)
         if trial.share <= _FLAWED:
-            found = _order(places, trial)
+            found = _order(places, trial, sight.scatter)
             if found.share <= _FLAWED:
                 return found
     # Thinning takes longer than linking: only those that may still be the best.
     best = None
     for trial in sorted(rest, key=lambda trial: trial.share):
         if best is None or trial.share < best.share:
-            found = _order(places, trial)
+            found = _order(places, trial, sight.scatter)
             best = found if best is None or found.share < best.share else best
     assert best is not None
     return best
 
 
-def _trials(places: Places) -> Iterator[_Trial]:
+def _trials(places: Places, sight: _Sight) -> Iterator[_Trial]:
     in_cells = places.heaps is not None
     cap = (_SPARSE_CELLS if in_cells else _SPARSE) * _middling(places.spacing, places.counts)
-    seen, across = _seen(places)
-    through = _THROUGH * places.thickness if in_cells else _ACROSS * across
+    through = _THROUGH * places.thickness if in_cells else _ACROSS * sight.width
     last = 0.0
     for factor in _REACHES_CELLS if in_cells else _REACHES:
         reach = np.maximum(factor * np.minimum(places.spacing, cap), through)
         typical = _middling(reach, places.counts)
         if typical > _FARTHER * last:
-            yield _linked(places, reach, seen)
+            yield _linked(places, reach, sight)
             last = typical
 
 
-def _linked(places: Places, reach: FloatArray, seen: FloatArray) -> _Trial:
+def _linked(places: Places, reach: FloatArray, sight: _Sight) -> _Trial:
     """The runs that a reach makes, and what is wrong with them."""
-    starts, neighbours = neighbours_of(places.at, reach, np.ascontiguousarray(seen[:, :3]))
+    starts, neighbours = neighbours_of(places.at, reach, sight.frames)
     in_sight = places.counts + _sums(places.counts, starts, neighbours)
     lonely = in_sight < _middling(in_sight, places.counts) / _LONELY
     if lonely.any():
         starts, neighbours = apart(starts, neighbours, lonely)
     runs = link(places.at, starts, neighbours)
-    along = reach * (1.0 + seen[:, 2]) / 2.0
-    ordered = _are_runs(places, runs, along, seen[:, 3])
+    along = reach * (1.0 + sight.frames[:, 2]) / 2.0
+    ordered = _are_runs(places, runs, along, sight.slenderness)
     return _Trial(runs, along, ordered, _flaw_share(places, runs, ordered, lonely))
 
 
-def _order(places: Places, trial: _Trial) -> Order:
-    rows, off = _rows(places, trial.runs, trial.reach, trial.ordered)
+def _order(places: Places, trial: _Trial, scatter: FloatArray) -> Order:
+    rows, off = _rows(places, trial.runs, trial.reach, scatter, trial.ordered)
     return Order(trial.runs, rows, trial.share + off)
 
 
@@ -140,24 +150,25 @@ def _sums(values: IntArray, starts: IntArray, neighbours: IntArray) -> IntArray:
     return np.asarray(sums[starts[1:]] - sums[starts[:-1]])
 
 
-def _seen(places: Places) -> tuple[FloatArray, float]:
-    """Direction of each place, how many times as far as across it sees along it; the band's width.
-
-    The width is that of bands a few places wide; of others it is too small.
-    """
-    neighbours = cKDTree(places.at).query(places.at, k=min(_HOODS[-1], len(places.at)))[1]
-    found = frames(places.at, np.asarray(neighbours), np.array(_HOODS))
+def _looked_around(places: Places) -> _Sight:
+    neighbours = np.asarray(
+        cKDTree(places.at).query(places.at, k=min(_HOODS[-1], len(places.at)))[1]
+    )
+    found = frames(places.at, neighbours, np.array(_HOODS))
     width = math.sqrt(12.0) * _middling(found[:, 2], places.counts)
-    found[:, 2] = np.clip(found[:, 3] / _SLENDER_HOOD, 1.0, _AHEAD)
-    return found, width
+    across, slender = np.median(found[neighbours[:, :_ALIKE], 2:], axis=1).T
+    seen = found[:, :3].copy()
+    seen[:, 2] = np.clip(found[:, 3] / _SLENDER_HOOD, 1.0, _AHEAD)
+    return _Sight(seen, found[:, 3], np.where(slender > _ROUND, across, np.inf), width)
 
 
 def _rows(
-    places: Places, runs: Runs, reach: FloatArray, ordered: BoolArray
+    places: Places, runs: Runs, reach: FloatArray, scatter: FloatArray, ordered: BoolArray
 ) -> tuple[tuple[Row | None, ...], float]:
     """Thin each run to a row; the share of the points that lie far from the row of their run."""
-    run, slot, scale = (
-        v[places.place_of_sample] for v in (runs.run_of_place, runs.slot_of_place, reach)
+    run, slot, scale, across = (
+        values[places.place_of_sample]
+        for values in (runs.run_of_place, runs.slot_of_place, reach, scatter)
     )
     by_run = np.argsort(run, kind="stable")
     borders = np.searchsorted(run[by_run], np.arange(len(runs.lengths) + 1))
@@ -167,7 +178,8 @@ def _rows(
         mine = by_run[borders[number] : borders[number + 1]]
         row = None
         if ordered[number] and len(mine) >= _LEAST_POINTS:
-            row, far = thin(places.sample[mine], slot[mine], scale[mine], int(count), closed=closed)
+            row, far = thin(places.sample[mine], slot[mine], scale[mine], across[mine], int(count),
+                            closed=closed)  # fmt: skip
             off += far
         rows.append(row)
     return tuple(rows), off / max(len(run), 1)

@@ -28,14 +28,17 @@ _BROAD = 10.0  # standard deviations: nor sees a parabola less far to either sid
 _WINDOW = 1.25  # reaches to either side of a node that its parabola sees; at most twice that
 _ENOUGH = 24  # points in a window: more need no wider one
 _LEAST_POINTS = 4  # in a window; it grows until it has them
-_PARABOLA = 8.0  # points; fewer in a window get a line
+_PARABOLA = 5.0  # points; fewer in a window get a line
+_LOOSE = 0.6  # variances of a point: a parabola known no better in its middle gives way to a line
 _FAR = 4.0  # standard deviations: farther across, a point has no say
+_MERGED = 1.5  # times what the places around each scatter: farther off, another run is mixed in
 _FEW = 16  # places in a window, among which a stray must be looked for one by one ...
 _WORSE = 1.25  # ... and how much farther than far it must be from the others' fit
 _EXACT = 1e-9  # of the slice's size: noise of the arithmetic
 _SUPPORT = 4  # points close by, with which a node may lie anywhere; with fewer, ...
 _SCANT = 6.0  # times fewer than usual around
 _BULGE = 2.5  # ... no more standard deviations than this from the nodes beside it
+_LEAD = 4  # supported nodes that lead to one beyond them
 _STEADY = 15  # nodes over whose spreads the median is taken
 
 # Place, slope and bend of a window's parabola: x + sx u + bx u^2, y + sy u + by u^2.
@@ -59,11 +62,17 @@ class Row:
 
 
 def thin(
-    places: FloatArray, slots: IntArray, reach: FloatArray, count: int, *, closed: bool
+    places: FloatArray,
+    slots: IntArray,
+    reach: FloatArray,
+    scatter: FloatArray,
+    count: int,
+    *,
+    closed: bool,
 ) -> tuple[Row, int]:
     """Thin the places (k, 2) of one run, each in one of `count` slabs in order, to nodes.
 
-    And say how many places lie far from where their row then runs.
+    And say how many places lie farther from where their row then runs than they scatter.
     """
     held = np.bincount(slots, minlength=count)
     used = held > 0
@@ -73,7 +82,7 @@ def thin(
     at = (np.cumsum(used) - 1)[slots]
     for _ in range(_ROUNDS):
         row, at = _thinned(places, row, at)
-    return row, _far_off(places, row, at)
+    return row, _far_off(places, row, at, scatter)
 
 
 def thin_again(places: FloatArray, row: Row) -> Row:
@@ -81,13 +90,13 @@ def thin_again(places: FloatArray, row: Row) -> Row:
     return _thinned(places, row, np.asarray(cKDTree(row.nodes).query(places)[1]))[0]
 
 
-def _far_off(places: FloatArray, row: Row, at: IntArray) -> int:
-    """How many places lie farther from a row than its points scatter."""
+def _far_off(places: FloatArray, row: Row, at: IntArray, scatter: FloatArray) -> int:
+    """How many places lie farther from a row than they should."""
     if len(row.nodes) < 2:
         return 0
     away = _lay_along(places, row, at)[2]
     spread = row.sigma[np.clip(at, 0, len(row.sigma) - 1)]
-    return int((away > _FAR * spread + _EXACT).sum())
+    return int((away > _FAR * np.minimum(spread, _MERGED * scatter) + _EXACT).sum())
 
 
 def _thinned(places: FloatArray, row: Row, at: IntArray) -> tuple[Row, IntArray]:
@@ -131,7 +140,7 @@ def _supported(along: FloatArray, grid: FloatArray, period: float) -> BoolArray:
         along = np.concatenate([along - period, along, along + period])
     held = np.searchsorted(along, grid + _STEP, "right") - np.searchsorted(along, grid - _STEP)
     usual = median_filter(held, size=_STEADY, mode="wrap" if closed else "nearest")
-    return np.asarray(held >= np.maximum(_SUPPORT, usual / _SCANT))
+    return np.asarray(held >= np.maximum(np.minimum(_SUPPORT, usual / 2.0), usual / _SCANT))
 
 
 def _levelled(
@@ -139,14 +148,14 @@ def _levelled(
 ) -> tuple[FloatArray, BoolArray]:
     """Put what bulges out for a point or two back between the supported nodes beside it.
 
-    At the edge of a gap there is nothing beside it on one side: it is not kept.
+    At the edge of a gap there is nothing beside it on one side: it is kept if it lies ahead.
     """
     if supported.mean() < 0.5 or supported.all():
         return nodes, np.ones(len(nodes), np.bool_)
     at, columns = grid[supported], nodes[supported]
     if period < np.inf:
-        at = np.concatenate([at[-1:] - period, at, at[:1] + period])
-        columns = np.concatenate([columns[-1:], columns, columns[:1]])
+        at = np.concatenate([at - period, at, at + period])
+        columns = np.concatenate([columns, columns, columns])
     following = np.searchsorted(at, grid)
     inner = (following > 0) & (following < len(at))
     following = np.clip(following, 1, len(at) - 1)
@@ -154,7 +163,25 @@ def _levelled(
     inner &= at[following] - at[following - 1] <= _GAP
     between = np.stack([np.interp(grid, at, column) for column in columns.T], axis=1)
     bulges = np.linalg.norm(nodes - between, axis=1) > _BULGE * sigma + _EXACT
-    return np.where((bulges & ~supported & inner)[:, None], between, nodes), supported | inner
+    kept = supported | inner
+    for lost in np.flatnonzero(~kept):
+        kept[lost] = _lies_ahead(nodes[lost], float(sigma[lost]), float(grid[lost]), at, columns)
+    return np.where((bulges & ~supported & inner)[:, None], between, nodes), kept
+
+
+def _lies_ahead(
+    node: FloatArray, sigma: float, place: float, at: FloatArray, supported: FloatArray
+) -> bool:
+    """Whether a node lies where the supported nodes on the nearer side of it lead."""
+    nearest = int(np.argmin(np.abs(at - place)))
+    ahead = 1 if place > at[nearest] else -1
+    back = nearest - ahead * min(_LEAD, nearest if ahead > 0 else len(at) - 1 - nearest)
+    run = abs(float(at[nearest] - at[back]))
+    beyond = abs(place - float(at[nearest]))
+    if not 0.0 < run <= 2.0 * _LEAD or beyond > _GAP:
+        return False
+    aim = supported[nearest] + beyond / run * (supported[nearest] - supported[back])
+    return float(np.linalg.norm(node - aim)) <= _BULGE * sigma * (1.0 + beyond / run) + _EXACT
 
 
 def _windows(spread: FloatArray, reach: FloatArray) -> FloatArray:
@@ -193,7 +220,10 @@ def _grid_between(along: FloatArray, period: float) -> tuple[FloatArray, tuple[i
 def _are_gaps(along: FloatArray, breaks: IntArray, period: float) -> BoolArray:
     """Whether the holes after these points are wider than their neighbours' ways explain."""
     ways = np.diff(along, append=along[0] + period if period < np.inf else np.inf)
-    beside = np.concatenate([np.arange(-_BESIDE, 0), np.arange(1, _BESIDE + 1)])
+    most = min(_BESIDE, (len(ways) - 1) // 2)
+    if not most:
+        return np.ones(len(breaks), np.bool_)
+    beside = np.concatenate([np.arange(-most, 0), np.arange(1, most + 1)])
     around = ways[(breaks[:, None] + beside) % len(ways)]
     usual = np.sort(np.where(np.isfinite(around), around, 0.0), axis=1)[:, -2]
     return np.asarray(ways[breaks] > _SILENT * usual)
@@ -416,7 +446,11 @@ def _parabola(
         return x0 / s0, y0 / s0, 0.0, 0.0, 0.0, 0.0
     bx = by = 0.0
     determinant = a11 * a22 - a12 * a12
-    if held >= _PARABOLA and left < -0.4 and right > 0.4 and determinant > 1e-9 * a11 * a22:
+    known = held >= _PARABOLA and left < -0.4 and right > 0.4 and determinant > 1e-9 * a11 * a22
+    if known:
+        variance = mean * mean * a22 - 2.0 * mean * square * a12 + square * square * a11
+        known = 1.0 / s0 + variance / determinant < _LOOSE
+    if known:
         bx = (a11 * (x2 - square * x0) - a12 * (x1 - mean * x0)) / determinant
         by = (a11 * (y2 - square * y0) - a12 * (y1 - mean * y0)) / determinant
     sx = (x1 - mean * x0 - bx * a12) / a11
