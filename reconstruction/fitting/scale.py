@@ -30,6 +30,7 @@ _THROUGH = 1.2  # thicknesses: a reach must look through the band in cells ...
 _ACROSS = 1.0  # ... and of points
 _FARTHER = 1.05  # times as far as before: nearly the same need not be tried
 _FLAWED = 0.01  # flaws a slab up to which a reach is taken for the right one
+_NEAR = 2.5  # reaches between two ends: a break and no gap
 _COARSE = 8  # slabs a run below which the reach may have been too large
 _LOST = 0.02  # share of the points that may be strays
 _SPARSE = 12.0  # times the usual spacing: who is lonelier does not look for neighbours farther off
@@ -136,7 +137,7 @@ def _linked(places: Places, reach: FloatArray, sight: _Sight) -> _Trial:
     runs = link(places.at, starts, neighbours)
     along = reach * (1.0 + sight.frames[:, 2]) / 2.0
     ordered = _are_runs(places, runs, along, sight.slenderness)
-    return _Trial(runs, along, ordered, _flaw_share(places, runs, ordered, lonely))
+    return _Trial(runs, along, ordered, _flaw_share(places, runs, along, ordered, lonely))
 
 
 def _order(places: Places, trial: _Trial, scatter: FloatArray) -> Order:
@@ -211,17 +212,38 @@ def _are_runs(places: Places, runs: Runs, reach: FloatArray, slender: FloatArray
     return np.asarray((runs.lengths >= least) & ~few & ~scattered)
 
 
-def _flaw_share(places: Places, runs: Runs, ordered: BoolArray, lonely: BoolArray) -> float:
-    """Flaws and needless pieces a slab, and the points that are lost beyond what strays explain."""
+def _flaw_share(
+    places: Places, runs: Runs, reach: FloatArray, ordered: BoolArray, lonely: BoolArray
+) -> float:
+    """Flaws and breaks a slab, and the points that are lost beyond what strays explain."""
     points = _points_of(places, runs, ~lonely)
-    slabs = int(runs.lengths[ordered].sum())
-    pieces = int(ordered.sum())
-    # A loop is no piece of anything, unless it is one around a hole in a band.
-    needless = int((ordered & ~(np.array(runs.closed, np.bool_) & (runs.lengths > _COARSE))).sum())
+    slabs, pieces = int(runs.lengths[ordered].sum()), int(ordered.sum())
     lost = 1.0 - float(points[ordered].sum()) / float(places.counts[~lonely].sum())
-    # One piece, or one flaw, too many is no sign of a wrong scale; runs of a few slabs are.
-    flaws = max(runs.flaws + needless - 2, 0) + (pieces if slabs < _COARSE * pieces else 0)
+    # One break, or one flaw, is no sign of a wrong scale; runs of a few slabs are.
+    flaws = max(runs.flaws + _breaks(places, runs, reach, ordered) - 1, 0)
+    flaws += pieces if slabs < _COARSE * pieces else 0
     return flaws / max(slabs, 1) + max(lost - _LOST, 0.0)
+
+
+def _breaks(places: Places, runs: Runs, reach: FloatArray, ordered: BoolArray) -> int:
+    """How many ends are so near to others that a longer reach would have gone on there.
+
+    Tiny loops count as well: they run around holes in a band.
+    """
+    closed = np.array(runs.closed, np.bool_)
+    tiny = int((ordered & closed & (runs.lengths <= _COARSE)).sum())
+    run, slot = runs.run_of_place, runs.slot_of_place
+    of_open = np.append(ordered & ~closed, False)[run]
+    first, last = of_open & (slot == 0), of_open & (slot == np.append(runs.lengths, 0)[run] - 1)
+    end = np.where(first, 2 * run, 2 * run + 1)[first | last]
+    if not len(end):
+        return tiny
+    _, number, held = np.unique(end, return_inverse=True, return_counts=True)
+    at, far = places.at[first | last], reach[first | last]
+    x, y, sight = (np.bincount(number, values) / held for values in (*at.T, far))
+    ends = np.stack([x, y], axis=1)
+    near = np.asarray(cKDTree(ends).query(ends, k=2)[0])[:, 1] if len(ends) > 1 else np.full(1, np.inf)
+    return tiny + int((near <= _NEAR * sight).sum()) // 2
 
 
 def _middling(values: FloatArray | IntArray, weights: IntArray | FloatArray) -> float:

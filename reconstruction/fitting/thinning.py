@@ -94,8 +94,9 @@ def _thinned(places: FloatArray, row: Row, at: IntArray) -> tuple[Row, IntArray]
     along, ups, _ = _lay_along(places, row, at)
     period = float(ups[-1]) if row.closed else np.inf
     order = np.argsort(along, kind="stable")
-    grid, gaps = _grid_between(along[order], period)
     knots = [np.append(v, v[0]) if row.closed else v for v in (row.sigma, row.reach)]
+    thick = np.interp(along[order], ups, _THICK * knots[0] / knots[1])
+    grid, gaps = _grid_between(along[order], thick, period)
     spread, reach = (np.interp(grid, ups, values) for values in knots)
     nodes, sigma, close = regress(
         along[order], places[order], grid, spread, _windows(spread, reach), period
@@ -177,50 +178,60 @@ def _windows(spread: FloatArray, reach: FloatArray) -> FloatArray:
     return np.clip(_BROAD * known / np.maximum(reach, 1e-300), WINDOW, 2.0 * WINDOW)
 
 
-def _grid_between(along: FloatArray, period: float) -> tuple[FloatArray, tuple[int, ...]]:
+def _grid_between(
+    along: FloatArray, thick: FloatArray, period: float
+) -> tuple[FloatArray, tuple[int, ...]]:
     """Steps along the stretches that points support, and after which of them a gap follows."""
     closed = period < np.inf
-    if closed:
-        breaks = np.flatnonzero(np.diff(along, append=along[0] + period) > _HOLE)
-        if not len(breaks):
-            return np.linspace(0.0, period, max(round(period / STEP), 4), endpoint=False), ()
-        # From one hole to its repetition.
+    breaks, wide = _holes(along, thick, period)
+    if closed and not len(breaks):
+        return np.linspace(0.0, period, max(round(period / STEP), 4), endpoint=False), ()
+    if closed:  # from one hole to its repetition
         along = np.concatenate([along[breaks[0] + 1 :], along[: breaks[0] + 1] + period])
+        breaks, wide = breaks[1:] - breaks[0] - 1, np.roll(wide, -1)
     else:
-        along = _without_tails(along)
-    breaks = np.flatnonzero(np.diff(along) > _HOLE)
+        along, beyond = _without_tails(along)
+        inner = (breaks >= beyond) & (breaks < beyond + len(along) - 1)
+        breaks, wide = breaks[inner] - beyond, wide[inner]
     starts, ends = along[np.append(0, breaks + 1)], along[np.append(breaks, len(along) - 1)]
     pieces = [
         np.linspace(start, end, max(round((end - start) / STEP), 1) + 1)
         for start, end in zip(starts, ends, strict=True)
     ]
     grid = np.concatenate(pieces)
-    wide = _are_gaps(along, np.append(breaks, len(along) - 1), period)
-    gaps = (np.cumsum([len(piece) for piece in pieces]) - 1)[wide]
+    last = np.cumsum([len(piece) for piece in pieces]) - 1
     if not closed:
-        return grid, tuple(gaps[:-1].tolist())
+        return grid, tuple(last[:-1][wide].tolist())
     grid = np.mod(grid, period)
     first = int(np.argmin(grid))
-    return np.roll(grid, -first), tuple(sorted(((gaps - first) % len(grid)).tolist()))
+    return np.roll(grid, -first), tuple(sorted(((last[wide] - first) % len(grid)).tolist()))
 
 
-def _are_gaps(along: FloatArray, breaks: IntArray, period: float) -> BoolArray:
-    """Whether the holes after these points are wider than their neighbours' ways explain."""
-    ways = np.diff(along, append=along[0] + period if period < np.inf else np.inf)
+def _holes(along: FloatArray, thick: FloatArray, period: float) -> tuple[IntArray, BoolArray]:
+    """After which points there is a hole, and which are gaps.
+
+    A gap is thicker than the band, and wider than the ways around it explain.
+    """
+    ways = np.diff(along, append=along[0] + period if period < np.inf else -np.inf)
+    holes = np.flatnonzero(ways > np.minimum(_HOLE, thick))
     most = min(_BESIDE, (len(ways) - 1) // 2)
-    if not most:
-        return np.ones(len(breaks), np.bool_)
     beside = np.concatenate([np.arange(-most, 0), np.arange(1, most + 1)])
-    around = ways[(breaks[:, None] + beside) % len(ways)]
-    usual = np.sort(np.where(np.isfinite(around), around, 0.0), axis=1)[:, -2]
-    return np.asarray(ways[breaks] > _SILENT * usual)
+    around = np.sort(ways[(holes[:, None] + beside) % len(ways)], axis=1)
+    gaps = ways[holes] > (_SILENT * around[:, -2] if most else 0.0)
+    kept = gaps | (ways[holes] > _HOLE)
+    return holes[kept], gaps[kept]
 
 
-def _without_tails(along: FloatArray) -> FloatArray:
-    """Without the first and last two of many points: they may be strays beyond the ends."""
+def _without_tails(along: FloatArray) -> tuple[FloatArray, int]:
+    """Without the first and last two of many points, and how many are left out.
+
+    They may be strays beyond the ends.
+    """
     beyond = min(2, len(along) // 100)
     inner = along[beyond : len(along) - beyond]
-    return inner if inner[-1] > inner[0] else np.array([inner[0], inner[0] + STEP])
+    if not inner[-1] > inner[0]:
+        return np.array([inner[0], inner[0] + STEP]), beyond
+    return inner, beyond
 
 
 def _lay_along(
