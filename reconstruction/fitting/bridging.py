@@ -21,6 +21,8 @@ from reconstruction.fitting.thinning import Row
 
 _TANGENT = 5.0  # reaches: the stretch of a run that tells the direction of its end
 _TOUCHING = 2.0  # reaches: so near, the way from end to end has no direction either
+_IN_LINE = 3.0  # standard deviations aside that ends which touch may be, and lie in line
+_AN_S = 3.5  # times its angle: what the turn of an S amounts to
 _STIFF = 1.0  # how much a turn of one radian adds to a bridge's cost, in its lengths
 _HOPELESS = math.radians(270.0)  # turn from which no gap explains two ends
 _PIECES = 12  # of a bridge's way
@@ -75,7 +77,10 @@ def bridges_between(ends: Ends) -> list[Bridge]:
     sigma = np.maximum(ends.sigma[:, None], ends.sigma[None])
     touching = lengths <= near
     one, other = ends.outward[:, None], ends.outward[None]
-    turns = np.where(touching, np.abs(_angles(one, -other)), turns_of(one, arms, other))
+    beside = np.maximum(_offset(one, arms), _offset(other, arms)) - _IN_LINE * sigma
+    beside = np.arcsin(np.clip(beside / np.maximum(lengths, 1e-300), 0.0, 1.0))
+    abreast = np.maximum(np.abs(_angles(one, -other)), _AN_S * beside)
+    turns = np.where(touching, abreast, turns_of(one, arms, other))
     costs = np.where(turns <= _HOPELESS, lengths * (1.0 + _STIFF * turns**2), np.inf)
     np.fill_diagonal(costs, np.inf)
     dearest = np.sort(costs, axis=1)[:, : _CHOICE][:, -1:] if len(costs) else costs
@@ -86,6 +91,11 @@ def bridges_between(ends: Ends) -> list[Bridge]:
         for i, j in np.argwhere(wanted)
     ]  # fmt: skip
     return sorted(found, key=lambda bridge: (bridge.cost, bridge.one, bridge.other))
+
+
+def _offset(tangent: FloatArray, arm: FloatArray) -> FloatArray:
+    """How far an arm leads aside."""
+    return np.abs(tangent[..., 0] * arm[..., 1] - tangent[..., 1] * arm[..., 0])
 
 
 def turns_of(one: FloatArray, arm: FloatArray, other: FloatArray) -> FloatArray:
@@ -127,24 +137,47 @@ def _outward(row: Row, side: int) -> FloatArray:
     return np.asarray(slope / max(float(np.linalg.norm(slope)), 1e-300))
 
 
-def walls(rows: list[Row]) -> FloatArray:
-    """The ways from node to node, which no bridge may cross: (m, 2, 2)."""
-    pieces = [ways_along(row.nodes, closed=row.closed) for row in rows]
-    return np.concatenate(pieces) if pieces else np.empty((0, 2, 2))
+@dataclass(frozen=True, slots=True, eq=False)
+class Walls:
+    """Ways from node to node that no bridge may cross."""
+
+    ways: FloatArray  # (m, 2, 2)
+    ends: IntArray  # (m,), the nearer end of the open row a way is of; -1 for others
+    back: FloatArray  # (m,), how far it is from there
+
+    def with_way(self, way: FloatArray) -> Walls:
+        """These and a polyline (k, 2)."""
+        more = ways_along(way, closed=False)
+        return Walls(
+            np.concatenate([self.ways, more]),
+            np.concatenate([self.ends, np.full(len(more), -1)]),
+            np.concatenate([self.back, np.zeros(len(more))]),
+        )
+
+    def crossed_by(self, way: FloatArray, ends: tuple[int, int], near: float) -> bool:
+        """Whether a polyline (k, 2) between two ends crosses any, but for those near its ends."""
+        apart = ~np.isin(self.ends, ends) | (self.back > near)
+        return bool(crossings(ways_along(way, closed=False), self.ways[apart]).any())
+
+
+def walls(rows: list[Row]) -> Walls:
+    """The ways of all rows."""
+    ways, ends, back = [np.empty((0, 2, 2))], [np.empty(0, np.int64)], [np.empty(0)]
+    for number, row in enumerate(rows):
+        ways.append(ways_along(row.nodes, closed=row.closed))
+        lengths = np.linalg.norm(ways[-1][:, 1] - ways[-1][:, 0], axis=1)
+        up = lengths.cumsum() - lengths
+        down = up[-1] + lengths[-1] - up - lengths
+        ends.append(np.where(up <= down, 2 * number, 2 * number + 1) if not row.closed
+                    else np.full(len(up), -1))  # fmt: skip
+        back.append(np.minimum(up, down))
+    return Walls(np.concatenate(ways), np.concatenate(ends), np.concatenate(back))
 
 
 def ways_along(nodes: FloatArray, *, closed: bool) -> FloatArray:
     """From node to node: (m, 2) -> (m - 1 or m, 2, 2)."""
     ring = np.vstack([nodes, nodes[:1]]) if closed else nodes
     return np.stack([ring[:-1], ring[1:]], axis=1)
-
-
-def cross(way: FloatArray, ways: FloatArray, *, but_near: float) -> bool:
-    """Whether a polyline (k, 2) crosses any of the ways (m, 2, 2) but for those near its ends."""
-    apart = np.ones(len(ways), np.bool_)
-    for end in (way[0], way[-1]):
-        apart &= (np.linalg.norm(ways - end, axis=2) > but_near).all(axis=1)
-    return bool(crossings(ways_along(way, closed=False), ways[apart]).any())
 
 
 def crossings(ways: FloatArray, others: FloatArray) -> BoolArray:

@@ -15,11 +15,9 @@ from reconstruction.arrays import FloatArray
 from reconstruction.fitting.bridging import (
     Bridge,
     bridges_between,
-    cross,
     ends_of,
     walls,
     way_of,
-    ways_along,
 )
 from reconstruction.fitting.thinning import Row
 
@@ -106,17 +104,17 @@ class _Site:
         way = self._follow(bridge.one)
         closes = way[-1] == bridge.other
         if (self._closes(way, bridge) if closes else self._reaches(bridge)) and self._free(bridge):
-            self.walls = np.concatenate(
-                [self.walls, ways_along(way_of(self.ends, bridge), closed=False)]
-            )
+            self.walls = self.walls.with_way(way_of(self.ends, bridge))
             self.partner[bridge.one] = self.partner[bridge.other] = bridge
 
     def _free(self, bridge: Bridge) -> bool:
         """Whether a bridge crosses nothing."""
-        near = max(float(self.rows[end // 2].reach.max()) for end in (bridge.one, bridge.other))
-        return bridge.touching or not cross(
-            way_of(self.ends, bridge), self.walls, but_near=near
-        )
+        way = way_of(self.ends, bridge)
+        return not self.walls.crossed_by(way, (bridge.one, bridge.other), self._near(bridge.one, bridge.other))
+
+    def _near(self, *ends: int) -> float:
+        """So near their ends rows may be crossed: there nobody knows where they run."""
+        return max(float(self.rows[end // 2].reach.max()) for end in ends)
 
     def _follow(self, end: int) -> list[int]:
         """Ends passed from `end` on, row by row over bridges, to a free end or once around."""
@@ -180,8 +178,9 @@ class _Site:
         sigma = float(max(self.ends.sigma[i], self.ends.sigma[j]))
         room = gap > _UNSEEN * sigma or gap > _WIDE * length
         straight = self.ends.places[[i, j]]
-        near = max(float(self.rows[end // 2].reach.max()) for end in (way[0], way[-1]))
-        return room and gap <= _OPEN * length and not cross(straight, self.walls, but_near=near)
+        ends = way[0], way[-1]
+        barred = self.walls.crossed_by(straight, ends, self._near(*ends))
+        return room and gap <= _OPEN * length and not barred
 
     def _assembled(self, way: list[int]) -> Joined:
         members = tuple(end // 2 for end in way[::2])

@@ -31,6 +31,7 @@ _ACROSS = 1.0  # ... and of points
 _FARTHER = 1.05  # times as far as before: nearly the same need not be tried
 _FLAWED = 0.01  # flaws a slab up to which a reach is taken for the right one
 _NEAR = 2.5  # reaches between two ends: a break and no gap
+_LATER = 0.005  # what a longer reach is worse by
 _COARSE = 8  # slabs a run below which the reach may have been too large
 _LOST = 0.02  # share of the points that may be strays
 _SPARSE = 12.0  # times the usual spacing: who is lonelier does not look for neighbours farther off
@@ -38,6 +39,7 @@ _SPARSE_CELLS = 5.0
 _LONELY = 20.0  # times fewer points in sight than usual: no neighbour of those in the band
 _SCATTERED = 1 / 8  # of the usual number of points on a length, and ...
 _ALIKE = 9  # places that share what they scatter
+_BAND = 1.7  # slenderness from which they lie in a band
 _ROUND = 2.0  # ... a slenderness on the average no more than this: a cloud of strays
 _SLENDER = 0.02  # A run with no more than this share of the points ...
 _THIN = 1 / 12  # ... and this share of the usual number of them in a slab is a row of strays.
@@ -105,11 +107,12 @@ def _banded(places: Places) -> Order:
             if found.share <= _FLAWED:
                 return found
     # Thinning takes longer than linking: only those that may still be the best.
-    best = None
-    for trial in sorted(rest, key=lambda trial: trial.share):
-        if best is None or trial.share < best.share:
+    best, least = None, np.inf
+    for rank, trial in sorted(enumerate(rest), key=lambda each: each[1].share + _LATER * each[0]):
+        if trial.share + _LATER * rank < least:
             found = _order(places, trial, sight.scatter)
-            best = found if best is None or found.share < best.share else best
+            if found.share + _LATER * rank < least:
+                best, least = found, found.share + _LATER * rank
     assert best is not None
     return best
 
@@ -160,7 +163,7 @@ def _looked_around(places: Places) -> _Sight:
     across, slender = np.median(found[neighbours[:, :_ALIKE], 2:], axis=1).T
     seen = found[:, :3].copy()
     seen[:, 2] = np.clip(found[:, 3] / _SLENDER_HOOD, 1.0, _AHEAD)
-    return _Sight(seen, found[:, 3], np.where(slender > _ROUND, across, np.inf), width)
+    return _Sight(seen, found[:, 3], np.where(slender > _BAND, across, np.inf), width)
 
 
 def _rows(
@@ -219,8 +222,8 @@ def _flaw_share(
     points = _points_of(places, runs, ~lonely)
     slabs, pieces = int(runs.lengths[ordered].sum()), int(ordered.sum())
     lost = 1.0 - float(points[ordered].sum()) / float(places.counts[~lonely].sum())
-    # One break, or one flaw, is no sign of a wrong scale; runs of a few slabs are.
-    flaws = max(runs.flaws + _breaks(places, runs, reach, ordered) - 1, 0)
+    # A break or two, or flaws, are no sign of a wrong scale; runs of a few slabs are.
+    flaws = max(runs.flaws + _breaks(places, runs, reach, ordered) - 2, 0)
     flaws += pieces if slabs < _COARSE * pieces else 0
     return flaws / max(slabs, 1) + max(lost - _LOST, 0.0)
 
