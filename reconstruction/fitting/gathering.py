@@ -17,7 +17,7 @@ from reconstruction.fitting.linking import Runs
 
 _FAR = 4.0  # standard deviations: farther off, a place is no chain's
 _BENT = 0.1  # of a bridge's length: how far its way may be off
-_SHORT = 3.0  # reaches: whatever lies on a bridge as short as this belongs to it
+_SHORT = 6.0  # reaches: whatever lies on a bridge as short as this belongs to it
 _NEARLY_ALL = 0.8  # of a piece's places
 _COMPANY = 4  # points; fewer on a longer bridge are strays
 _SPARSE = 1 / 8  # of the chain's points on a length; fewer on a longer bridge are strays

@@ -24,6 +24,7 @@ _GAP = 3.0  # reaches between nodes beside a hole ...
 _BESIDE = 8  # points on either side of a hole tell how far apart they usually are ...
 _SILENT = 4.0  # ... and it is a gap from so many times that
 _THICK = 5.0  # standard deviations: no reach is shorter, or noise would bend the row
+_PLENTY = 3.0  # points in a reach: a shorter one will do where there are more
 _BROAD = 10.0  # standard deviations: nor sees a parabola less far to either side
 _MERGED = 1.5  # times what the places around each scatter: farther off, another run is mixed in
 _SUPPORT = 4  # points close by, with which a node may lie anywhere; with fewer, ...
@@ -103,8 +104,8 @@ def _thinned(places: FloatArray, row: Row, at: IntArray) -> tuple[Row, IntArray]
     )
     # A stray beside a few nodes does not make the band wide there.
     sigma = median_filter(sigma, size=_STEADY, mode="wrap" if row.closed else "nearest")
-    reach = np.maximum(reach, _THICK * sigma)
     usual = median_filter(close, size=_STEADY, mode="wrap" if row.closed else "nearest")
+    reach = np.maximum(reach * np.minimum(1.0, _PLENTY / np.maximum(usual, 1.0)), _THICK * sigma)
     supported = close >= np.maximum(np.minimum(_SUPPORT, usual / 2.0), usual / _SCANT)
     company = close >= np.maximum(1.0, usual / _COMPANY)
     nodes, kept = _levelled(nodes, sigma, grid, supported, company, period)
