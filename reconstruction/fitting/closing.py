@@ -24,7 +24,7 @@ from reconstruction.fitting.thinning import Row
 _CRUMB = 2.5  # reaches: shorter rows have no direction
 _STRAIGHT = math.radians(90.0)  # turn up to which a row is carried on beyond its own length
 _FACING = math.radians(158.0)  # turn up to which two ends face each other
-_DOUBTFUL = math.radians(168.0)  # turn from which a closed loop stays in doubt
+_DOUBTFUL = math.radians(158.0)  # turn from which a closed loop stays in doubt
 _UNSEEN = 20.0  # standard deviations: a gap this wide has room for a turn that nobody saw
 _RIVAL = 2.0  # times a bridge's cost: another one is no better than that, or leaves a doubt
 _LEAST_LOOP = 6.0  # bridges: a row this long is a loop if its ends touch
@@ -145,7 +145,7 @@ class _Site:
     def _reaches(self, bridge: Bridge) -> bool:
         """Whether two rows are known well enough to be carried on that far."""
         if bridge.touching:
-            return True
+            return bridge.turn <= _FACING
         known = min(self.rows[bridge.one // 2].length, self.rows[bridge.other // 2].length)
         far = (3.0 if bridge.turn <= _STRAIGHT else 1.0) * known
         return bridge.turn <= _FACING and bridge.length <= far + bridge.near
@@ -153,7 +153,7 @@ class _Site:
     def _closes(self, way: list[int], bridge: Bridge) -> bool:
         """Whether a bridge between the ends of its own chain makes a likely loop."""
         length = sum(self.rows[end // 2].length for end in way[::2])
-        if bridge.touching and length > _LEAST_LOOP * bridge.length:
+        if bridge.touching and bridge.turn <= _FACING and length > _LEAST_LOOP * bridge.length:
             return True
         share = bridge.length / max(length + bridge.length, 1e-300)
         unseen = bridge.length > _UNSEEN * bridge.sigma and share <= _LIKELY
@@ -185,13 +185,13 @@ class _Site:
     def _assembled(self, way: list[int]) -> Joined:
         members = tuple(end // 2 for end in way[::2])
         row, bridge = self._end_to_end(way)
-        if way[-1] not in self.partner:
-            doubt = not row.closed and self._may_close(way)
-            return Joined(row, members, bridge, doubt)
-        bridges = [self.partner[end] for end in way[1::2]]
+        bridges = [self.partner[end] for end in way[1::2] if end in self.partner]
         length = sum(self.rows[n].length for n in members) + sum(b.length for b in bridges)
-        widest = max(bridge.length for bridge in bridges)
-        forced = bridges[-1].turn > _DOUBTFUL and not bridges[-1].touching
+        widest = max((bridge.length for bridge in bridges), default=0.0)
+        if way[-1] not in self.partner:
+            doubt = not row.closed and (widest > _WIDE * length or self._may_close(way))
+            return Joined(row, members, bridge, doubt)
+        forced = any(bridge.turn > _DOUBTFUL and not bridge.touching for bridge in bridges)
         return Joined(row, members, bridge, widest > _WIDE * length or forced)
 
     def _end_to_end(self, way: list[int]) -> tuple[Row, FloatArray]:

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
-from reconstruction.arrays import FloatArray, IntArray
+from reconstruction.arrays import BoolArray, FloatArray, IntArray
 from reconstruction.fitting.closing import Joined
 from reconstruction.fitting.linking import Runs
 
@@ -24,13 +24,18 @@ _SPARSE = 1 / 8  # of the chain's points on a length; fewer on a longer bridge a
 
 
 def gather(
-    joined: list[Joined], runs: Runs, places: FloatArray, counts: IntArray, chain_of_run: IntArray
+    joined: list[Joined],
+    runs: Runs,
+    places: FloatArray,
+    counts: IntArray,
+    chain_of_run: IntArray,
+    loose: BoolArray,
 ) -> IntArray:
-    """The chain of each run, those without one on a chain's way included; else as it was."""
+    """The chain of each run, loose ones on a chain's way included; else as it was."""
     found = chain_of_run.copy()
-    loose = np.flatnonzero(np.append(chain_of_run < 0, False)[runs.run_of_place])
-    if not len(loose) or not joined:
+    if not loose.any() or not joined:
         return found
+    loose = np.flatnonzero(np.append(loose, False)[runs.run_of_place])
     ways = _Ways(joined, _densities(joined, runs, counts, chain_of_run))
     way, away, along = _nearest(places[loose], ways.start, ways.arm)
     near = away <= _FAR * ways.sigma[way] + _BENT * ways.bridge[way]

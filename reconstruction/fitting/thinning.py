@@ -22,7 +22,8 @@ _ROUNDS = 2
 _HOLE = 1.5  # reaches without a point: no node is put there, where it would hang in the air
 _GAP = 3.0  # reaches between nodes beside a hole ...
 _BESIDE = 8  # points on either side of a hole tell how far apart they usually are ...
-_SILENT = 4.0  # ... and it is a gap from so many times that
+_SILENT = 4.0  # ... and it is a gap from so many times the widest of these ways but one, ...
+_SILENCE = 7.0  # ... or the way that three quarters of them do not exceed
 _THICK = 5.0  # standard deviations: no reach is shorter, or noise would bend the row
 _PLENTY = 3.0  # points in a reach: a shorter one will do where there are more
 _BROAD = 10.0  # standard deviations: nor sees a parabola less far to either side
@@ -32,6 +33,7 @@ _SCANT = 6.0  # ... or that many times fewer than usual around, ...
 _COMPANY = 4.0  # times fewer than usual: no company at the edge of a gap
 _BULGE = 2.5  # ... no more standard deviations than this from the nodes beside it
 _LEAD = 4  # supported nodes that lead to one beyond them
+_UNSTEADY = 4.0  # times the usual deviation: more is a bad fit
 _STEADY = 15  # nodes over whose spreads the median is taken
 
 
@@ -60,10 +62,11 @@ def thin(
     count: int,
     *,
     closed: bool,
-) -> tuple[Row, int]:
+) -> tuple[Row, IntArray]:
     """Thin the places (k, 2) of one run, each in one of `count` slabs in order, to nodes.
 
-    And say how many places lie farther from where their row then runs than they scatter.
+    And say how many places lie far from where their row then runs, by how its places scatter, and
+    by how those around each do.
     """
     held = np.bincount(slots, minlength=count)
     used = held > 0
@@ -81,13 +84,14 @@ def thin_again(places: FloatArray, row: Row) -> Row:
     return _thinned(places, row, np.asarray(cKDTree(row.nodes).query(places)[1]))[0]
 
 
-def _far_off(places: FloatArray, row: Row, at: IntArray, scatter: FloatArray) -> int:
-    """How many places lie farther from a row than they should."""
+def _far_off(places: FloatArray, row: Row, at: IntArray, scatter: FloatArray) -> IntArray:
+    """How many places lie farther from a row than they should, by either measure."""
     if len(row.nodes) < 2:
-        return 0
+        return np.zeros(2, np.int64)
     away = _lay_along(places, row, at)[2]
     spread = row.sigma[np.clip(at, 0, len(row.sigma) - 1)]
-    return int((away > FAR * np.minimum(spread, _MERGED * scatter) + EXACT).sum())
+    limits = np.stack([spread, np.minimum(spread, _MERGED * scatter)])
+    return np.asarray((away > FAR * limits + EXACT).sum(axis=1))
 
 
 def _thinned(places: FloatArray, row: Row, at: IntArray) -> tuple[Row, IntArray]:
@@ -104,11 +108,11 @@ def _thinned(places: FloatArray, row: Row, at: IntArray) -> tuple[Row, IntArray]
     )
     # A stray beside a few nodes does not make the band wide there.
     sigma = median_filter(sigma, size=_STEADY, mode="wrap" if row.closed else "nearest")
+    sigma = np.minimum(sigma, _UNSTEADY * np.median(sigma))
     usual = median_filter(close, size=_STEADY, mode="wrap" if row.closed else "nearest")
     reach = np.maximum(reach * np.minimum(1.0, _PLENTY / np.maximum(usual, 1.0)), _THICK * sigma)
     supported = close >= np.maximum(np.minimum(_SUPPORT, usual / 2.0), usual / _SCANT)
-    company = close >= np.maximum(1.0, usual / _COMPANY)
-    nodes, kept = _levelled(nodes, sigma, grid, supported, company, period)
+    nodes, kept = _levelled(nodes, sigma, grid, supported, close, usual, period)
     gaps = _gaps_among(kept, gaps, closed=row.closed)
     new = Row(nodes[kept], sigma[kept], reach[kept], row.closed, gaps)
     return new, np.searchsorted(grid[kept], along, side="right") - 1
@@ -131,7 +135,8 @@ def _levelled(
     sigma: FloatArray,
     grid: FloatArray,
     supported: BoolArray,
-    company: BoolArray,
+    close: FloatArray,
+    usual: FloatArray,
     period: float,
 ) -> tuple[FloatArray, BoolArray]:
     """Put what bulges out for a point or two back between the supported nodes beside it.
@@ -139,6 +144,7 @@ def _levelled(
     At the edge of a gap there is nothing beside it on one side: it is kept if it lies ahead, in
     company.
     """
+    company = close >= np.maximum(1.0, usual / _COMPANY)
     if supported.mean() < 0.5 or supported.all():
         return nodes, np.ones(len(nodes), np.bool_)
     at, columns = grid[supported], nodes[supported]
@@ -153,9 +159,27 @@ def _levelled(
     between = np.stack([np.interp(grid, at, column) for column in columns.T], axis=1)
     bulges = np.linalg.norm(nodes - between, axis=1) > _BULGE * sigma + EXACT
     kept = supported | inner
+    kept |= _substantial(~kept, close, usual, wrapped=period < np.inf)
     for lost in np.flatnonzero(~kept & company):
         kept[lost] = _lies_ahead(nodes[lost], float(sigma[lost]), float(grid[lost]), at, columns)
     return np.where((bulges & ~supported & inner)[:, None], between, nodes), kept
+
+
+def _substantial(
+    lost: BoolArray, close: FloatArray, usual: FloatArray, *, wrapped: bool
+) -> BoolArray:
+    """Which of the lost nodes lie in stretches with points enough not to be of strays."""
+    if not lost.any() or lost.all():
+        return np.zeros(len(lost), np.bool_)
+    first = int(np.argmin(lost)) if wrapped else 0  # no stretch over the seam
+    lost, close, usual = (np.roll(values, -first) for values in (lost, close, usual))
+    stretch = np.cumsum(np.diff(lost, prepend=False)) * lost
+    points, expected, nodes = (
+        np.bincount(stretch, values, stretch.max() + 1) for values in (close, usual, lost)
+    )
+    # A point is close to two nodes.
+    held = (points >= 2 * _SUPPORT) & (points >= expected / _COMPANY) & (nodes > 1)
+    return np.asarray(np.roll(held[stretch] & lost, first))
 
 
 def _lies_ahead(
@@ -218,7 +242,8 @@ def _holes(along: FloatArray, thick: FloatArray, period: float) -> tuple[IntArra
     most = min(_BESIDE, (len(ways) - 1) // 2)
     beside = np.concatenate([np.arange(-most, 0), np.arange(1, most + 1)])
     around = np.sort(ways[(holes[:, None] + beside) % len(ways)], axis=1)
-    gaps = ways[holes] > (_SILENT * around[:, -2] if most else 0.0)
+    usual = np.minimum(_SILENT * around[:, -2], _SILENCE * around[:, -1 - most // 2]) if most else 0.0
+    gaps = ways[holes] > usual
     kept = gaps | (ways[holes] > _HOLE)
     return holes[kept], gaps[kept]
 

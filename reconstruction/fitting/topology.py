@@ -90,7 +90,8 @@ def find_chains(points_mm: ArrayLike) -> Topology:
     places = look_at(points, low, high)
     found = order(places)
     joined, chain_of_run = _joined(places, found)
-    chain_of_run = gather(joined, found.runs, places.at, places.counts, chain_of_run)
+    loose = (chain_of_run < 0) & ~found.heaps
+    chain_of_run = gather(joined, found.runs, places.at, places.counts, chain_of_run, loose)
     kept, chain_of_run = _kept(places, found, joined, chain_of_run)
     # The last entry answers for what has no run.
     chain_of_place = np.append(chain_of_run, STRAY)[found.runs.run_of_place]
