@@ -15,14 +15,15 @@ from scipy.spatial import cKDTree
 
 from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.errors import TooFewPoints
+from reconstruction.fitting.frames import frames
 from reconstruction.fitting.cells import Heaps, Int32Array, heap_up
-from reconstruction.thickness import estimate_thickness
 
 _SINGLY = 3000  # points up to which each is a place of its own
 _SAMPLE = 5000  # points that tell the middle and the thickness of a band
-_PROBED = 512  # points that tell it well enough for the width of a cell
+_PROBES = 256  # of them, at which the thickness is looked for ...
+_PROBED = (8, 12, 18, 27, 40, 60, 90, 128)  # ... among so many neighbours
 _NARROW = 2.5  # cells to a thickness
-_MOST_PLACES = 5000
+_MOST_PLACES = 10_000
 _LEAST_PLACES = 4
 _NEIGHBOUR = 4  # the neighbour whose distance is the spacing
 _AROUND = 24  # places that share their spacing; the more even cells need fewer
@@ -87,8 +88,7 @@ def _singly(points: FloatArray, low: FloatArray, size: float) -> Places:
 def _in_cells(points: FloatArray) -> Places:
     rng = np.random.default_rng(0)
     chosen = points[np.unique(rng.integers(0, len(points), _SAMPLE))]
-    few = chosen[:: max(len(chosen) // _PROBED, 1)]
-    width = math.sqrt(12.0) * estimate_thickness(few).sigma_mm
+    width = _thickness(chosen)
     low, high = _box_of(chosen)
     heaps = heap_up(points, low, high, max(width / _NARROW, float((high - low).max()) / _FINEST))
     if len(heaps.counts) > _MOST_PLACES:
@@ -101,6 +101,14 @@ def _in_cells(points: FloatArray) -> Places:
         low, unit, at, heaps.counts, _spacing(at, _AROUND_CELLS), width / unit,
         (chosen[inside] - low) / unit, place_of_sample[inside], np.empty(0, np.int64), heaps,
     )  # fmt: skip
+
+
+def _thickness(chosen: FloatArray) -> float:
+    """Full width of the band, the median over some of the points (k, 2)."""
+    probes = chosen[:: max(len(chosen) // _PROBES, 1)]
+    neighbours = cKDTree(chosen).query(probes, k=min(_PROBED[-1], len(chosen)))[1]
+    found = frames(chosen, np.asarray(neighbours), np.array(_PROBED))
+    return math.sqrt(12.0) * float(np.median(found[:, 2]))
 
 
 def _box_of(chosen: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -22,11 +22,11 @@ from reconstruction.errors import TooFewPoints
 from reconstruction.fitting.cells import Int32Array, bounds
 from reconstruction.fitting.chain import Chain
 from reconstruction.fitting.closing import Joined, join
+from reconstruction.fitting.gathering import gather
 from reconstruction.fitting.places import Places, look_at
 from reconstruction.fitting.scale import Order, order
-from reconstruction.fitting.thinning import Row, thin, thin_again
+from reconstruction.fitting.thinning import Row, thin_again
 
-_LEAST_POINTS = 5  # in a run
 _HEAP = 10  # points; fewer without an order are strays
 _STOUT = 6.0  # full bands: a run no longer than this is a heap
 _LARGEST_MM = 1e100  # coordinates beyond are no lengths; their squares must stay finite
@@ -89,53 +89,44 @@ def find_chains(points_mm: ArrayLike) -> Topology:
         raise ValueError("points must be finite lengths in mm: set NaN and infinity aside first")
     places = look_at(points, low, high)
     found = order(places)
-    rows, row_of_run = _rows(places, found)
-    kept, chain_of_row = _kept(places, found, rows, row_of_run)
-    # The last entries answer for what has no row, and no run: -1, -2.
-    chain_of_run = np.append(np.append(chain_of_row, [UNORDERED, STRAY])[row_of_run], STRAY)
-    chain_of_point = places.of_points(points, chain_of_run[found.runs.run_of_place])
-    return _concluded(places, kept, chain_of_point)
+    joined, chain_of_run = _joined(places, found)
+    loose = (chain_of_run < 0) & ~found.heaps
+    chain_of_run = gather(joined, found.runs, places.at, places.counts, chain_of_run, loose)
+    kept, chain_of_run = _kept(places, found, joined, chain_of_run)
+    # The last entry answers for what has no run.
+    chain_of_place = np.append(chain_of_run, STRAY)[found.runs.run_of_place]
+    return _concluded(places, kept, places.of_points(points, chain_of_place))
+
+
+def _joined(places: Places, found: Order) -> tuple[list[Joined], IntArray]:
+    """Rows joined to chains; the chain of each run, or STRAY or UNORDERED."""
+    sampled = found.runs.run_of_place[places.place_of_sample]
+    held = np.bincount(sampled[sampled >= 0], minlength=len(found.rows))
+    chain_of_run = np.where(held >= _HEAP, UNORDERED, STRAY)
+    numbers = [number for number, row in enumerate(found.rows) if row is not None]
+    joined = join([row for row in found.rows if row is not None])
+    chain_of_run[numbers] = STRAY
+    for chain, one in enumerate(joined):
+        chain_of_run[[numbers[member] for member in one.members]] = chain
+    return joined, chain_of_run
 
 
 def _kept(
-    places: Places, found: Order, rows: list[Row], row_of_run: IntArray
+    places: Places, found: Order, joined: list[Joined], chain_of_run: IntArray
 ) -> tuple[list[Joined], IntArray]:
-    """Join the rows and smooth their seams; the chain of each row."""
-    chain_of_row = np.full(len(rows), STRAY)
-    run_of_sample = found.runs.run_of_place[places.place_of_sample]
+    """Chains thinned anew where they were put together, and those that are none left out."""
+    sampled = np.append(chain_of_run, STRAY)[found.runs.run_of_place[places.place_of_sample]]
+    new = np.full(len(joined), UNORDERED)
     kept: list[Joined] = []
-    for joined in join(rows):
-        row, members = joined.row, list(joined.members)
-        if row is not rows[members[0]]:
-            mine = np.append(np.isin(row_of_run, members), False)[run_of_sample]
-            row = thin_again(places.sample[mine], row)
-        if _is_heap(row):
-            chain_of_row[members] = UNORDERED
-        else:
-            chain_of_row[members] = len(kept)
-            kept.append(replace(joined, row=row))
-    return kept, chain_of_row
-
-
-def _rows(places: Places, found: Order) -> tuple[list[Row], IntArray]:
-    """Thin each run; the row of each run, or STRAY or UNORDERED."""
-    runs = found.runs
-    run, slot = (v[places.place_of_sample] for v in (runs.run_of_place, runs.slot_of_place))
-    reach = found.reach[places.place_of_sample]
-    row_of_run = np.full(len(runs.lengths), STRAY)
-    by_run = np.argsort(run, kind="stable")
-    borders = np.searchsorted(run[by_run], np.arange(len(runs.lengths) + 1))
-    rows: list[Row] = []
-    for number, (count, closed) in enumerate(zip(runs.lengths, runs.closed, strict=True)):
-        mine = by_run[borders[number] : borders[number + 1]]
-        if found.ordered[number] and len(mine) >= _LEAST_POINTS:
-            row_of_run[number] = len(rows)
-            rows.append(
-                thin(places.sample[mine], slot[mine], reach[mine], int(count), closed=closed)
-            )
-        elif len(mine) >= _HEAP:
-            row_of_run[number] = UNORDERED
-    return rows, row_of_run
+    for number, one in enumerate(joined):
+        if (chain_of_run == number).sum() > 1 or one.bridge.any():
+            one = replace(one, row=thin_again(places.sample[sampled == number], one.row))
+        if not _is_heap(one.row):
+            new[number] = len(kept)
+            kept.append(one)
+    held = chain_of_run >= 0
+    chain_of_run[held] = new[chain_of_run[held]]
+    return kept, chain_of_run
 
 
 def _is_heap(row: Row) -> bool:
