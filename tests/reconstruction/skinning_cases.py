@@ -20,6 +20,7 @@ from reconstruction.nurbs import Curve
 from reconstruction.skinning.branch import Branch, End, Ending
 from reconstruction.skinning.branching import is_ring_ended
 from reconstruction.skinning.outlines import Outline, lifted
+from reconstruction.skinning.ring_caps import triangulate_ring
 from reconstruction.slices import Frame
 
 Solid = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
@@ -226,13 +227,17 @@ def stand_in(branch: Branch, *, count: int = 96) -> Mesh:
         _lifted(each, frame, height)
         for each, frame, height in zip(rings, frames, heights, strict=True)
     ]
-    faces = _bands(len(rows), count, around=branch.cyclic or is_ring_ended(branch))
-    if not (branch.cyclic or is_ring_ended(branch)):
-        # Cap by cap: a ring seen from its end is counter-clockwise or not, as the fold has it.
-        first, last = triangulate_polygon(rings[0]), triangulate_polygon(rings[-1])
-        faces = np.vstack([faces, first[:, ::-1], last + (len(rows) - 1) * count])
+    faces = _bands(len(rows), count, around=branch.cyclic)
+    last = (len(rows) - 1) * count
+    if is_ring_ended(branch):
+        cap = triangulate_ring(rings[0], rings[-1])
+        faces = np.vstack([faces, np.where(cap < count, cap, cap - count + last)[:, ::-1]])
+    elif not branch.cyclic:
+        caps = triangulate_polygon(rings[0]), triangulate_polygon(rings[-1])
+        faces = np.vstack([faces, caps[0][:, ::-1], caps[1] + last])
     vertices = np.vstack(rows)
     mesh = Mesh(vertices, faces, np.zeros(len(vertices)))
+    # A branch that begins downwards has made everything inside out.
     return mesh if _volume(mesh) > 0.0 else Mesh(vertices, faces[:, ::-1], mesh.synthetic)
 
 

@@ -17,8 +17,10 @@ from reconstruction.meshing import Mesh, Row, mesh_rows
 from reconstruction.skinning.branching import find_branches
 from reconstruction.skinning.joining import join_solids
 from reconstruction.skinning.outlines import Outline
+from reconstruction.skinning.ring_caps import triangulate_ring
 from reconstruction.skinning.slivers import without_slivers
 from reconstruction.soundness import soundness
+from tests.reconstruction.part_cases import star
 from tests.reconstruction.skinning_cases import (
     CUP,
     MUG,
@@ -31,6 +33,7 @@ from tests.reconstruction.skinning_cases import (
     pillar,
     ring,
     rod,
+    signed_area,
     stand_in,
     torus,
     turned,
@@ -106,9 +109,11 @@ SOLIDS: dict[str, tuple[Solid, int]] = {
 }
 
 
-def skinned(slices: list[list[Outline]], heights: FloatArray, **options: object) -> Mesh:
+def skinned(
+    slices: list[list[Outline]], heights: FloatArray, *, count: int = 96, **options: object
+) -> Mesh:
     found = find_branches(slices, heights)
-    parts = [stand_in(each) for each in found.branches]
+    parts = [stand_in(each, count=count) for each in found.branches]
     return join_solids(
         parts, [each.hole for each in found.branches], within_mm=WITHIN_MM, **options
     )
@@ -140,6 +145,15 @@ def test_a_solid_keeps_its_euler_number(name: str, step: float) -> None:
 def _area(each: Outline) -> float:
     x, y = each.polygon_mm(400).T  # holes run clockwise
     return float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) / 2.0
+
+
+@pytest.mark.parametrize("count", [60, 131, 200, 256])
+def test_rims_that_differ_by_a_chord_from_what_they_stand_on_join_all_the_same(count: int) -> None:
+    """The rim of a mug and the inside below it are cut out of one wall, with other corners."""
+    heights = np.arange(-25.0, 25.1, 1.0) + 0.03
+    mesh = skinned(cut(MUG, heights), heights, count=count)
+    assert soundness(mesh).sound
+    assert judged(mesh).euler_number == 0
 
 
 @pytest.mark.parametrize(
@@ -233,6 +247,26 @@ def test_a_solid_in_a_cavity_is_there_if_it_comes_after_it() -> None:
     mesh = join_solids(parts, [False, True, False], within_mm=1e-9)
     hollow = judged(parts[0]).volume - judged(parts[1]).volume
     assert judged(mesh).volume == pytest.approx(hollow + judged(parts[2]).volume, rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_ring_is_cut_into_triangles_that_cover_it_once(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    outer, inner = 4.0 * star(rng, 40), blob(rng, 1.0, (0.5, 0.2))
+    faces = triangulate_ring(outer, inner)
+    assert len(faces) == len(outer) + len(inner)
+    a, b, c = np.moveaxis(np.vstack([outer, inner])[faces], 1, 0)
+    doubled = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    assert (doubled > -1e-9).all()
+    assert doubled.sum() / 2 == pytest.approx(signed_area(outer) - signed_area(inner))
+    sides = np.vstack([faces[:, [k, (k + 1) % 3]] for k in range(3)])
+    counted = {(int(i), int(j)) for i, j in sides}
+    assert len(counted) == len(sides)
+    rim = {(i, j) for i, j in counted if (j, i) not in counted}
+    n, m = len(outer), len(inner)
+    assert rim == {(i, (i + 1) % n) for i in range(n)} | {
+        (n + (i + 1) % m, n + i) for i in range(m)
+    }
 
 
 # -- marks, slivers, refusals --------------------------------------------------------------------
