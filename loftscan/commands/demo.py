@@ -35,7 +35,10 @@ def demo(
     json_lines: JsonLines = False,
     debug: Debug = False,
 ) -> None:
-    """Scan a part on a simulated station, reconstruct it while it is scanned, judge the result."""
+    """Scan a simulated part, reconstruct it meanwhile, judge it.
+
+    The station is simulated on real wires; the scan goes beside the result, to OUT.scan.
+    """
 
     def work() -> None:
         from loftscan.cad_files import CadWriter

@@ -66,7 +66,7 @@ def reconstruct(
     json_lines: JsonLines = False,
     debug: Debug = False,
 ) -> None:
-    """Turn a scan or a point cloud into a watertight mesh, NURBS patches and a report."""
+    """Turn a scan or a cloud into a mesh, NURBS and a report."""
 
     def work() -> None:
         from loftscan.cad_files import CadWriter

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -81,3 +83,28 @@ def test_any_other_error_of_compiled_code_is_not_hidden() -> None:
 
     with pytest.raises(SystemError):
         run(kernel, debug=False)
+
+
+HALF_MADE = """
+import sys
+import loftscan.cli
+
+class HalfMade:
+    def __del__(self):
+        raise ValueError("half made")
+
+def interrupted():
+    half_made = HalfMade()
+    raise SystemExit(int(sys.argv[1]))
+
+loftscan.cli.app = interrupted
+loftscan.cli.main()
+"""
+
+
+@pytest.mark.parametrize("code", [3, 1])
+def test_what_was_half_made_when_the_key_was_pressed_is_not_complained_of(code: int) -> None:
+    words = [sys.executable, "-c", HALF_MADE, str(code)]
+    ran = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert ran.returncode == code
+    assert ("half made" in ran.stderr) == (code != 3)
