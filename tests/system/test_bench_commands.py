@@ -19,6 +19,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from acquisition.plan import read_plan, ring, write_plan
@@ -477,6 +478,36 @@ def test_the_wire_log_of_each_link_replays(station: Simulated, place: Path, plan
         assert str(log.name) in ran.stdout
     line = complaint(run("scan", station, plan, "--out", "o", "--wire-log", "no/where.log"), 2)
     assert "there is no folder no; make it first" in line
+
+
+# When it was measured; the number of a frame, too, which a free-running sensor counts.
+TIMES = {"time_s", "sensor_time_s", "frame"}
+
+
+def without_times_and_places(record: object) -> object:
+    """A scan.json without when it was made and at which ports."""
+    if not isinstance(record, dict):
+        return None if "://" in str(record) else record
+    return {key: without_times_and_places(record[key]) for key in record if key != "created"}
+
+
+def test_the_same_scan_with_the_same_seed_is_the_same_folder_but_for_times(
+    station: Simulated, place: Path, plan: str
+) -> None:
+    succeeded(run("scan", station, plan, "--out", "one.scan"))
+    with simulate(seed=3, scale=SCALE / 2) as again:
+        succeeded(run("scan", again, plan, "--out", "other.scan"))
+    one, other = Path("one.scan"), Path("other.scan")
+    records = [json.loads((each / "scan.json").read_text()) for each in (one, other)]
+    assert without_times_and_places(records[0]) == without_times_and_places(records[1])
+    slices = [sorted(each.glob("slices/*")) for each in (one, other)]
+    assert [file.name for file in slices[0]] == [file.name for file in slices[1]]
+    assert len(slices[0]) == SLICES
+    for files in zip(*slices, strict=True):
+        left, right = map(np.load, files)
+        assert left.files == right.files
+        differing = {name for name in left.files if not np.array_equal(left[name], right[name])}
+        assert differing <= TIMES
 
 
 def keep_the_first_slice(station: Simulated, plan: str) -> None:
