@@ -17,6 +17,10 @@ def run(work: Callable[[], None], *, debug: bool) -> None:
     """Run a command's work and turn what is known to go wrong into a line and an exit code."""
     try:
         work()
+    except SystemError as broken:
+        if debug or not isinstance(broken.__cause__, KeyboardInterrupt):
+            raise
+        fail(3, _say(broken.__cause__))  # compiled code was entered just then
     # Evaluated only when something went wrong: no command waits for what it does not use.
     except _known_errors() as error:
         if debug:
