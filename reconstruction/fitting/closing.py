@@ -62,9 +62,7 @@ def join(rows: list[Row]) -> list[Joined]:
             if _passes(one.row, rows[crumb]):
                 those.append(crumb)
                 break
-    return [
-        replace(one, members=tuple(those)) for one, those in zip(joined, members, strict=True)
-    ]
+    return [replace(one, members=tuple(those)) for one, those in zip(joined, members, strict=True)]
 
 
 class _Site:
@@ -110,7 +108,9 @@ class _Site:
     def _free(self, bridge: Bridge) -> bool:
         """Whether a bridge crosses nothing."""
         way = way_of(self.ends, bridge)
-        return not self.walls.crossed_by(way, (bridge.one, bridge.other), self._near(bridge.one, bridge.other))
+        return not self.walls.crossed_by(
+            way, (bridge.one, bridge.other), self._near(bridge.one, bridge.other)
+        )
 
     def _near(self, *ends: int) -> float:
         """So near their ends rows may be crossed: there nobody knows where they run."""
@@ -161,9 +161,7 @@ class _Site:
 
     def _may_close(self, way: list[int]) -> bool:
         """Whether an open chain might be a loop all the same."""
-        bridge = next(
-            (b for b in self.bridges if {b.one, b.other} == {way[0], way[-1]}), None
-        )
+        bridge = next((b for b in self.bridges if {b.one, b.other} == {way[0], way[-1]}), None)
         if bridge is None:
             return self._may_turn(way)
         length = sum(self.rows[end // 2].length for end in way[::2])

@@ -44,9 +44,7 @@ def gather(
     for mine in np.split(order, np.flatnonzero(np.diff(run[order])) + 1):
         chain = int(np.bincount(ways.chain[way[mine]]).argmax())
         of = mine[(ways.chain[way[mine]] == chain) & near[mine]]
-        if len(of) >= _NEARLY_ALL * len(mine) and ways.hold(
-            way[of], along[of], counts[loose[of]]
-        ):
+        if len(of) >= _NEARLY_ALL * len(mine) and ways.hold(way[of], along[of], counts[loose[of]]):
             found[run[mine[0]]] = chain
     return found
 

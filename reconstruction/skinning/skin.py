@@ -28,6 +28,7 @@ _STATIONS_A_SPAN = 3
 _LEAST_STATIONS = 96
 _REACH = 6.0  # standard deviations from the first net: loose cells farther off are not its
 _BOXES = 64
+_CELLS_A_BOX = 4  # on average: by chance hardly one is empty
 _NEAR_END = 4  # outlines
 _FEWEST = 8  # outlines
 _WILD = 4.0  # times as far as those nearby from the middle between its neighbours
@@ -83,8 +84,10 @@ class Skin:
     def support(self) -> IntArray:
         """Cells beside each box of a lattice over (u, v), a gap's width apart."""
         end_u, end_v = self.fit.net.spans
-        shape = (min(int(end_u), _BOXES), min(max(len(self.branch.outlines) // 2, 1), _BOXES))
         held = self.fit.weights > 0.0
+        rows = min(max(len(self.branch.outlines) // 2, 1), _BOXES)
+        columns = min(max(int(held.sum()) // (_CELLS_A_BOX * rows), 8), _BOXES)
+        shape = (columns, rows)
         feet = self.fit.feet
         counts = np.zeros(shape, np.int64)
         column = np.minimum((feet.u[held] / end_u * shape[0]).astype(np.int64), shape[0] - 1)
@@ -133,9 +136,13 @@ def _aligned(branch: Branch) -> tuple[Branch, Stations, list[Moments]]:
 
 
 def _standing_out(stations: Stations, *, cyclic: bool) -> int | None:
-    """The outline farthest from the middle between its neighbours, if that is far."""
+    """The outline farthest from where its neighbours would have it, if that is far."""
     places = stations.places_mm
-    middles = 0.5 * (np.roll(places, 1, axis=0) + np.roll(places, -1, axis=0))
+    strides = np.linalg.norm(places - np.roll(places, 1, axis=0), axis=2)
+    below = np.sqrt((strides**2).mean(axis=1)) + 1e-300
+    above = np.roll(below, -1)
+    share = (below / (below + above))[:, None, None]
+    middles = (1.0 - share) * np.roll(places, 1, axis=0) + share * np.roll(places, -1, axis=0)
     off = np.linalg.norm(places - middles, axis=2).max(axis=1)
     if not cyclic:  # towards an end outlines may shrink fast
         off[:_NEAR_END] = off[-_NEAR_END:] = 0.0

@@ -17,6 +17,7 @@ from reconstruction.skinning.ends import Apex
 from reconstruction.skinning.net import derivatives_at
 from reconstruction.skinning.skin import Skin, skin_branch
 from reconstruction.skinning.surfacing import skin_slices
+from reconstruction.slices import Frame, Slice
 from tests.reconstruction.skinning_parts import Box, drawn, only_branch, ring_slices
 
 STRIP: Box = (0.3, 0.3 + math.radians(36), -1.0, 101.0)
@@ -172,7 +173,7 @@ def test_an_outline_that_stands_out_is_left_out_and_its_points_are_used_where_th
 
 
 def torus_slices(*, count: int = 600, sigma_mm: float = 0.15) -> list[SliceOutlines]:
-    """A torus of radii 40 and 12, lying flat: loops with a hole in each slice."""
+    """A torus of radii 40 and 12, lying flat: loops with a hole in each slice, nothing beyond."""
     rng = np.random.default_rng(11)
     slices = []
     for height in -12.0 + 24.0 / 30 * (np.arange(30) + 0.5):
@@ -187,13 +188,14 @@ def torus_slices(*, count: int = 600, sigma_mm: float = 0.15) -> list[SliceOutli
                 seed=int(1e6 + 1e3 * height),
             )[0]
         )
-    numbered = [type(each)(k, each.points_mm, each.frame) for k, each in enumerate(slices)]
-    return drawn(numbered)
+    beyond = [Frame(np.array([0.0, 0.0, height]), np.eye(3)) for height in (-12.4, 12.4)]
+    slices += [Slice(0, np.empty((0, 3)), frame) for frame in beyond]
+    return drawn([Slice(k, each.points_mm, each.frame) for k, each in enumerate(slices)])
 
 
 def test_a_torus_is_one_surface_that_closes_both_ways_in_any_order_of_slices() -> None:
     pieces = torus_slices()
-    found = skin_slices([pieces[k] for k in np.random.default_rng(12).permutation(30)])
+    found = skin_slices([pieces[k] for k in np.random.default_rng(12).permutation(32)])
     (skin,) = found.skins
     assert skin.branch.cyclic
     solid = trimesh.Trimesh(found.mesh.vertices_mm, found.mesh.faces, process=False)
