@@ -101,6 +101,7 @@ def test_thickness_and_spacing_are_those_of_the_cloud(rng: np.random.Generator) 
     found = resolve_section(cloud(superformula(), rng, per_mm=10.0, band_mm=2.0))
     assert found.sigma_mm == pytest.approx(2.0 / math.sqrt(12.0), rel=0.15)
     assert found.width_mm == 4.0 * found.sigma_mm
+    assert found.band_mm == pytest.approx(2.0, rel=0.15)
     assert found.spacing_mm == pytest.approx(0.1, rel=0.05)
 
 
@@ -200,6 +201,13 @@ def test_a_slice_far_from_the_origin_has_the_same_curve(rng: np.random.Generator
 def test_another_shape_or_no_numbers_is_the_callers_mistake(points: object) -> None:
     with pytest.raises(ValueError, match="expected, got"):
         fit_section(points)
+
+
+def test_masked_rows_are_not_taken_for_points(rng: np.random.Generator) -> None:
+    points = annulus(rng)
+    with pytest.raises(ValueError, match="masked"):
+        fit_section(np.ma.masked_greater(points, 39.0))
+    assert len(fit_section(np.ma.masked_greater(points, 1e9))) == 2  # nothing is masked
 
 
 @pytest.mark.parametrize("points", [np.zeros((0, 2)), np.eye(2), np.ones((500, 2)), np.eye(2)[:1]])
