@@ -79,8 +79,8 @@ def noise_table(_shapes: dict[str, Outline], seeds: int | None) -> Iterator[str]
     """Where one side of four is louder than the others."""
     seeds = seeds or SEEDS
     yield f"Noise: a plate of 400 x 320 mm, 900 points, half of them on the top, {seeds} seeds;"
-    yield "  sigma 2 mm, on the top so many times. Length over the true one, and rms to the truth on"
-    yield "  the top over sigma there; median and worst; wrong: seeds without a single loop"
+    yield "  sigma 2 mm, on the top so many times. Length over the true one, and rms to the truth"
+    yield "  on the top over sigma there; median and worst; wrong: seeds without a single loop"
     yield (f"{'':12}{'independent: length':>20}{'rms':>13}{'8 akin: length':>18}{'rms':>13}"
            f"{'wrong':>8}")  # fmt: skip
     plate = polygon(np.array([[0.0, 0.0], [400.0, 0.0], [400.0, 320.0], [0.0, 320.0]]))

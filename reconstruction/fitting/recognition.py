@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -25,7 +25,8 @@ from reconstruction.nurbs import Curve, circle
 
 _STEPS = 10
 _SKETCHED = 128  # places on the free curve
-_SUSPECT = 3.0  # posterior standard deviations, rms: a sketch farther off needs no second look
+_SUSPECT = 3.0  # posterior standard deviations, rms: a sketch farther off needs no second look ...
+_SKETCHY = 0.5  # ... of which none is less than this share of the noise: exact data have hardly any
 _CHANCE = 4.0  # standard deviations of excess misfit
 _LEAST_RATIO = 0.05  # of an ellipse's axes
 _FLATTEST = 1e4  # radius of an arc over its length
@@ -108,10 +109,13 @@ def _misfit(data: _Data, distances: FloatArray, scatters: FloatArray) -> float:
 
 
 def _trials(fit: Fit) -> list[_Fitted]:
-    """Shapes that lie within the free curve's own uncertainty: few curves come so far."""
+    """Shapes that lie about within the free curve's own uncertainty: few curves come so far."""
     t = np.linspace(0.0, fit.spans, _SKETCHED, endpoint=not fit.closed)
     places, tangents, _ = evaluate(fit.control_mm, t)
-    variances = variances_at(fit.control_mm, fit.inverse, t, closed=fit.closed)
+    variances = np.maximum(
+        variances_at(fit.control_mm, fit.inverse, t, closed=fit.closed),
+        _SKETCHY**2 * fit.noise.variance_mm2,
+    )
     # Even arc length would weigh alike; the parametrisation may run unevenly.
     shares = np.linalg.norm(tangents, axis=1)
     weights = shares / shares.mean() / np.maximum(variances, 1e-12 * float(np.ptp(places)) ** 2)
@@ -255,12 +259,24 @@ def _shape(fit: Fit, cells: ArcCells, found: _Fitted) -> Shape:
     grid = np.linspace(*curve.domain, 2049)
     places = curve(grid)
     slopes = found.measure(found.parameters, places[::8]).slopes
-    deviations = np.sqrt(np.einsum("ij,jk,ik->i", slopes, found.covariance, slopes))
     u = grid[cKDTree(places).query(cells.means_mm)[1]]
+    noise = _noise(fit, cells, found)
+    # The parameters were found at the free curve's noise.
+    covariance = found.covariance * (noise.variance_mm2 / fit.noise.variance_mm2)
+    deviations = np.sqrt(np.einsum("ij,jk,ik->i", slopes, covariance, slopes))
     return Shape(
         found.kind, curve, deviations, u, found.distances_mm, found.scatters_mm2,
-        len(found.parameters),
+        len(found.parameters), noise=noise,
     )  # fmt: skip
+
+
+def _noise(fit: Fit, cells: ArcCells, found: _Fitted) -> Noise:
+    """What scatters about the shape; exact data may have more about the free curve."""
+    held = cells.counts * fit.weights
+    squares = (found.distances_mm**2 + found.scatters_mm2) / fit.noise.relative
+    freedom = max(float(held.sum()) - len(found.parameters), 1.0)
+    least = (1e-7 * float(np.ptp(cells.means_mm, axis=0).max())) ** 2
+    return replace(fit.noise, variance_mm2=max(float(held @ squares) / freedom, least))
 
 
 def _curve(fit: Fit, found: _Fitted) -> Curve:

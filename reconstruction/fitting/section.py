@@ -27,7 +27,8 @@ from reconstruction.fitting.section_fit import fit_chain
 from reconstruction.fitting.topology import UNORDERED, Topology, find_chains
 
 _LEAST = 4  # points
-_LARGEST_MM = 1e100  # the squares of lengths must stay finite
+_LARGEST_MM = 1e30  # the powers of lengths must stay finite ...
+_SMALLEST_MM = 1e-30  # ... and above nothing
 _FAR = 1e5  # times the size of a slice
 
 
@@ -177,7 +178,10 @@ def _checked(points_mm: ArrayLike) -> tuple[FloatArray, FloatArray | None]:
         raise Unfittable(
             f"{lost} of {len(points)} points are no finite lengths in mm: set them aside first"
         )
-    far = max(-float(low.min()), float(high.max())) > _FAR * float((high - low).max())
+    size = float((high - low).max())
+    if not size > _SMALLEST_MM:
+        raise TooFewPoints(f"all {len(points)} points lie in one place; a curve needs {_LEAST}")
+    far = max(-float(low.min()), float(high.max())) > _FAR * size
     return points, low if far else None
 
 
