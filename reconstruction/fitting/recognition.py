@@ -27,6 +27,8 @@ _STEPS = 10
 _SKETCHED = 128  # places on the free curve
 _SUSPECT = 3.0  # posterior standard deviations, rms: a sketch farther off needs no second look ...
 _SKETCHY = 0.5  # ... of which none is less than this share of the noise: exact data have hardly any
+_NEAR = _SUSPECT**2 * _SKETCHED
+_HOPELESS = 100.0  # times that
 _CHANCE = 4.0  # standard deviations of excess misfit
 _LEAST_RATIO = 0.05  # of an ellipse's axes
 _FLATTEST = 1e4  # radius of an arc over its length
@@ -123,12 +125,12 @@ def _trials(fit: Fit) -> list[_Fitted]:
     data = _Data(places, weights, nothing, np.zeros((len(t), 3)))
     trials = _closed_trials(data) if fit.closed else _open_trials(data)
     return [trial for trial in trials
-            if _misfit(data, trial.distances_mm, nothing) < _SUSPECT**2 * _SKETCHED]  # fmt: skip
+            if _misfit(data, trial.distances_mm, nothing) < _NEAR]  # fmt: skip
 
 
 def _closed_trials(data: _Data) -> list[_Fitted]:
-    ring = _fitted("circle", _measure_circle, _algebraic_circle(data), data)
-    oval = _fitted("ellipse", _measure_ellipse, _principal_ellipse(data), data)
+    ring = _fitted("circle", _measure_circle, _algebraic_circle(data), data, most=_NEAR)
+    oval = _fitted("ellipse", _measure_ellipse, _principal_ellipse(data), data, most=_NEAR)
     found = [] if ring is None else [ring]
     if (
         oval is not None
@@ -149,18 +151,23 @@ def _open_trials(data: _Data) -> list[_Fitted]:
     def measure_line(parameters: FloatArray, places: FloatArray) -> _Reading:
         return _measure_line(parameters, places, middle, along)
 
-    straight = _fitted("line", measure_line, np.zeros(2), data)
-    bent = _fitted("arc", _measure_circle, _algebraic_circle(data), data)
+    straight = _fitted("line", measure_line, np.zeros(2), data, most=_NEAR)
+    bent = _fitted("arc", _measure_circle, _algebraic_circle(data), data, most=_NEAR)
     found = [] if straight is None else [straight]
     if bent is not None and bent.parameters[2] < _FLATTEST * length:
         found.append(bent)
     return found
 
 
-def _fitted(kind: str, measure: Measure, start: FloatArray, data: _Data) -> _Fitted | None:
-    """Gauss-Newton on normal distances; None where it does not settle on a shape."""
+def _fitted(
+    kind: str, measure: Measure, start: FloatArray, data: _Data, *, most: float = math.inf
+) -> _Fitted | None:
+    """Gauss-Newton on normal distances; None where it does not settle on a shape.
+
+    Or where its first two steps leave a misfit far beyond `most`.
+    """
     parameters = start
-    for _ in range(_STEPS):
+    for turn in range(_STEPS):
         with np.errstate(all="ignore"):  # what is not finite is refused below
             reading = measure(parameters, data.places_mm)
             along, scatters = _turned(data.covariances_mm2, reading.normals)
@@ -172,6 +179,8 @@ def _fitted(kind: str, measure: Measure, start: FloatArray, data: _Data) -> _Fit
         try:
             covariance = np.asarray(np.linalg.inv(normal_matrix), dtype=np.float64)
         except np.linalg.LinAlgError:
+            return None
+        if turn == 2 and _misfit(data, distances, scatters) > _HOPELESS * most:
             return None
         step = covariance @ (reading.slopes.T @ (data.weights * distances))
         if not (np.isfinite(step).all() and (covariance.diagonal() > 0).all()):
