@@ -1,6 +1,7 @@
 """One section: our fit beside the best fixed number of control points, the paper and the peers.
 
-    python benchmarks/sections.py [floor] [recognised] [paper] [peers] [honesty] [speed] [--seeds N]
+    python benchmarks/sections.py [floor] [recognised] [paper] [peers] [corners] [noise]
+                                     [honesty] [speed] [--seeds N]
 
 Every table but where it says "told" goes from shuffled points to curves: which points belong
 together, their order and the parametrisation are found by the program. Points lie at arc-uniform
@@ -12,14 +13,23 @@ from __future__ import annotations
 
 import argparse
 
+from section_tables.corners import corners_table, noise_table
 from section_tables.floor import floor_table, paper_table, recognised_table
 from section_tables.honesty import honesty_table
 from section_tables.outlines import outlines
 from section_tables.peers import peers_table
 from section_tables.speed import speed_table
 
-TABLES = {"floor": floor_table, "recognised": recognised_table, "paper": paper_table,
-          "peers": peers_table, "honesty": honesty_table, "speed": speed_table}  # fmt: skip
+TABLES = {
+    "floor": floor_table,
+    "recognised": recognised_table,
+    "paper": paper_table,
+    "peers": peers_table,
+    "corners": corners_table,
+    "noise": noise_table,
+    "honesty": honesty_table,
+    "speed": speed_table,
+}
 
 
 def main() -> None:

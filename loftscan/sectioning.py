@@ -48,7 +48,11 @@ def fit_section(
     ValueError
         For an argument that cannot be meant.
     """
-    return _fit_section(points_mm, exact=Exact(exact))
+    try:
+        wanted = Exact(exact)
+    except ValueError as unknown:
+        raise ValueError(f"exact {exact!r}: 'auto' or 'never' expected") from unknown
+    return _fit_section(points_mm, exact=wanted)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -198,6 +202,7 @@ def describe(curve: FittedCurve, depth: int) -> dict[str, object]:
         **_dimensions(curve),
         "control_points": len(curve.curve.control_points_mm),
         "sigma_mm": curve.sigma_mm,
+        "least_radius_mm": _least_radius_mm(curve, grid),
         "residual_rms_mm": curve.residual_rms_mm,
         "residual_max_mm": curve.residual_max_mm,
         "points": curve.points_used,
@@ -207,6 +212,12 @@ def describe(curve: FittedCurve, depth: int) -> dict[str, object]:
         "gaps": [list(gap) for gap in _gaps(curve)],
         "creases": list(curve.creases),
     }
+
+
+def _least_radius_mm(curve: FittedCurve, grid: FloatArray) -> float | None:
+    """Of curvature; none of a line."""
+    sharpest = float(np.abs(curve.curvature(grid)).max())
+    return 1.0 / sharpest if sharpest > 0.0 else None
 
 
 def _dimensions(curve: FittedCurve) -> dict[str, object]:
@@ -270,7 +281,9 @@ def summary(piece: PlanarSlice, found: SectionFit) -> Mapping[str, object]:
         "lost": piece.lost,
         "strays": len(found.strays),
         "unordered": len(found.unordered),
+        "sigma_mm": found.sigma_mm,
         "thickness_mm": found.width_mm,
+        "band_mm": found.band_mm,
         "spacing_mm": found.spacing_mm if found.chains else None,
         "failures": list(found.failures),
     }

@@ -11,16 +11,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from reconstruction.arrays import BoolArray, FloatArray
 from reconstruction.fitting.bending import span_lengths
-from reconstruction.fitting.misfits import excess
+from reconstruction.fitting.misfits import MIXED, excess
 from reconstruction.fitting.moments import ArcCells
-from reconstruction.fitting.pieces import WINDOW, Piece, corner_cost, cut_at, preferred, stilled
+from reconstruction.fitting.pieces import (
+    WINDOW,
+    Corner,
+    Cut,
+    Piece,
+    corner_cost,
+    cut_at,
+    met,
+    preferred,
+    stilled,
+)
 from reconstruction.fitting.recognition import Shape
 from reconstruction.fitting.smoothing import Fit, Noise
 from reconstruction.fitting.spline import evaluate, nurbs_of
@@ -28,6 +37,7 @@ from reconstruction.fitting.uncertainty import deviations_along, variances_at
 from reconstruction.nurbs import Curve
 
 _A_SPAN = 8  # places on the smooth curve
+_PLACES = 60  # to either side of a corner
 _LEAST_TURN = math.radians(20)
 _CONCENTRATED = 0.6  # share of the turning in three windows that a corner does in one
 _MOST = 24  # corners
@@ -45,25 +55,32 @@ def creased(fit: Fit, cells: ArcCells, points: FloatArray) -> Shape | None:
         cut = cut_at(fit, cells, cuts)
         if cut is None:
             return None
-        pieces, noise = cut
-        shape = _joined(pieces, cells, noise, closed=fit.closed)
-        worse = _excesses(shape, fit, points, cuts)
-        dear = noise.inflation * corner_cost(cells, noise)
-        sound = _sharp(pieces, turns, closed=fit.closed) & (worse < dear)
+        worse = _excesses(cut.corners, fit, points, cuts, cut.noise)
+        dear = cut.noise.inflation * corner_cost(cells, cut.noise)
+        sound = _sharp(cut.corners, turns) & (worse < dear)
         if sound.all():
-            if not preferred(fit, cells, pieces, noise, float(worse.sum())):
-                return None
-            return _joined(stilled(pieces, cells, noise), cells, noise, closed=fit.closed)
+            return _joined(cut, fit, cells, float(worse.sum()))
         cuts, turns = cuts[sound], turns[sound]
     return None
 
 
-def _excesses(shape: Shape, fit: Fit, points: FloatArray, cuts: FloatArray) -> FloatArray:
-    sigma = math.sqrt((shape.noise or fit.noise).variance_mm2)
+def _joined(cut: Cut, fit: Fit, cells: ArcCells, worse: float) -> Shape | None:
+    """The pieces as one curve, if they are preferred to the smooth one."""
+    pieces = met(cut, cells)
+    if pieces is None or not preferred(fit, cells, pieces, cut.noise, worse):
+        return None
+    return _shape(stilled(pieces, cells, cut.noise), cells, cut.noise, closed=fit.closed)
+
+
+def _excesses(
+    corners: list[Corner], fit: Fit, points: FloatArray, cuts: FloatArray, noise: Noise
+) -> FloatArray:
+    reach = MIXED * float(span_lengths(fit.control_mm, fit.spans).mean())
+    sigma = math.sqrt(noise.variance_mm2)
     return np.array(
         [
-            excess(shape.curve, fit, points, corner, cut, sigma)
-            for corner, cut in zip(shape.creases, cuts, strict=True)
+            excess(corner.line(reach, _PLACES), fit, points, cut, sigma)
+            for corner, cut in zip(corners, cuts, strict=True)
         ]
     )
 
@@ -100,16 +117,15 @@ def _summed(values: FloatArray, window: int, *, closed: bool) -> FloatArray:
     return np.asarray(sums[2 * half + 1 :] - sums[: -2 * half - 1])
 
 
-def _sharp(pieces: list[Piece], turns: FloatArray, *, closed: bool) -> BoolArray:
+def _sharp(corners: list[Corner], turns: FloatArray) -> BoolArray:
     """Which corners turn by more than their one-sided tangents are uncertain, in order.
 
     And by most of what the smooth curve turns there: else it is a bend, cut in two.
     """
-    pairs = [(pieces[-1], pieces[0])] if closed else []
     sharp = []
-    for (before, after), whole in zip((*pairs, *pairwise(pieces)), turns, strict=True):
-        p, da = _tangent(before.fit, float(before.fit.spans), -1.0)
-        q, db = _tangent(after.fit, 0.0, 1.0)
+    for corner, whole in zip(corners, turns, strict=True):
+        p, da = _tangent(corner.before.fit, corner.end, -1.0)
+        q, db = _tangent(corner.after.fit, corner.start, 1.0)
         turn = abs(math.atan2(p[0] * q[1] - p[1] * q[0], float(p @ q)))
         sharp.append(turn >= max(_LEAST_TURN, _MOSTLY * whole, _SIGNIFICANT * math.hypot(da, db)))
     return np.array(sharp)
@@ -117,19 +133,19 @@ def _sharp(pieces: list[Piece], turns: FloatArray, *, closed: bool) -> BoolArray
 
 def _tangent(fit: Fit, at: float, inward: float) -> tuple[FloatArray, float]:
     """Tangent at an end, and roughly its standard deviation: the band's over two spans."""
-    t = np.array([at, at + inward * min(2.0, fit.spans / 2)])
+    t = np.clip([at, at + inward * min(2.0, fit.spans / 2)], 0.0, fit.spans)
     places, first, _ = evaluate(fit.control_mm, t)
     deviation = np.sqrt(variances_at(fit.control_mm, fit.inverse, t, closed=False))
     length = max(float(np.linalg.norm(places[1] - places[0])), 1e-300)
     return first[0], float(deviation.max()) / length
 
 
-def _joined(pieces: list[Piece], cells: ArcCells, noise: Noise, *, closed: bool) -> Shape:
+def _shape(pieces: list[Piece], cells: ArcCells, noise: Noise, *, closed: bool) -> Shape:
     """One curve, parametrised by length, threefold knots at the corners."""
     lengths = [float(span_lengths(p.fit.control_mm, p.fit.spans).sum()) for p in pieces]
     stops = np.concatenate([[0.0], np.cumsum(lengths)]) / sum(lengths)
     curve = _curve(pieces, stops, closed=closed)
-    fine = np.linspace(0.0, 1.0, 4097)
+    fine = np.linspace(0.0, 1.0, 1025)
     distances, u, scatters = np.zeros((3, len(cells)))
     rest = np.ones(len(cells), np.bool_)
     rest[np.concatenate([piece.rows for piece in pieces])] = False

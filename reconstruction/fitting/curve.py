@@ -24,7 +24,7 @@ class Exact(Enum):
     NEVER = "never"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class FittedCurve:
     """A section with its noise, its uncertainty, its gaps, and the moments it was fitted to."""
 
@@ -48,6 +48,18 @@ class FittedCurve:
         object.__setattr__(self, "deviations_mm", frozen(self.deviations_mm))
         object.__setattr__(self, "u", frozen(self.u))
 
+    def __repr__(self) -> str:
+        gaps, corners = len(self.gaps), len(self.creases)
+        words = [
+            f"{self.kind}, {'closed' if self.closed else 'open'}",
+            *(["ambiguous"] if self.ambiguous else []),
+            f"{len(self.curve.control_points_mm)} control points",
+            f"{self.points_used} points, sigma {self.sigma_mm:.3g} mm",
+            *([f"{gaps} gap{'s' * (gaps > 1)}"] if gaps else []),
+            *([f"{corners} corner{'s' * (corners > 1)}"] if corners else []),
+        ]
+        return f"<FittedCurve: {', '.join(words)}>"
+
     def __call__(self, u: ArrayLike) -> FloatArray:
         """Points (m, 2) in mm at parameters (m,), or one point (2,) at a scalar."""
         return self.curve(u)
@@ -65,25 +77,38 @@ class FittedCurve:
     def deviation_mm(self, u: ArrayLike) -> FloatArray:
         """Posterior standard deviation across the curve; (m,) -> (m,). 1.96 of it is the band."""
         start, end = self.domain
-        at = np.atleast_1d(np.asarray(u, dtype=np.float64))
+        at = np.asarray(u, dtype=np.float64)
         if self.closed:
             at = start + np.mod(at - start, end - start)
         grid = np.linspace(start, end, len(self.deviations_mm))
         return np.asarray(np.interp(at, grid, self.deviations_mm))
 
     def covariance(self, u: ArrayLike) -> FloatArray:
-        """Posterior covariance (m, 2, 2) in mm2: across the curve only, as along it is gauge."""
-        at = np.atleast_1d(np.asarray(u, dtype=np.float64))
-        normals = self.normals(at)
-        return np.asarray(
-            self.deviation_mm(at)[:, None, None] ** 2 * normals[:, :, None] * normals[:, None, :]
-        )
+        """Posterior covariance in mm2: across the curve only, as along it is gauge.
+
+        (m, 2, 2) at parameters (m,), or (2, 2) at a scalar.
+        """
+        normals = self.normals(u)
+        products = normals[..., :, None] * normals[..., None, :]
+        return np.asarray(self.deviation_mm(u)[..., None, None] ** 2 * products)
 
     def normals(self, u: ArrayLike) -> FloatArray:
-        """Unit left normals (m, 2)."""
+        """Unit left normals (m, 2), or one (2,) at a scalar."""
         tangents = curve_derivatives(self.curve, np.atleast_1d(np.asarray(u, float)), 1)[1]
         lengths = np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-300)
-        return np.asarray(np.stack([-tangents[:, 1], tangents[:, 0]], axis=1) / lengths)
+        normals = np.stack([-tangents[:, 1], tangents[:, 0]], axis=1) / lengths
+        return np.asarray(normals[0] if np.ndim(u) == 0 else normals)
+
+    def curvature(self, u: ArrayLike) -> FloatArray:
+        """Curvature in 1/mm, (m,) -> (m,), positive to the left; its inverse is the local radius.
+
+        Of a free curve it is as smooth as the noise allows, and no less certain than it looks only
+        where the band is narrow beside the radius.
+        """
+        _, first, second = curve_derivatives(self.curve, np.atleast_1d(np.asarray(u, float)), 2)
+        cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+        bends = cross / np.maximum(np.linalg.norm(first, axis=1) ** 3, 1e-300)
+        return np.asarray(bends[0] if np.ndim(u) == 0 else bends)
 
 
 def finished(

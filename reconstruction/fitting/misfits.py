@@ -18,10 +18,8 @@ import numpy as np
 from numba import njit
 
 from reconstruction.arrays import FloatArray, IntArray
-from reconstruction.fitting.bending import span_lengths
 from reconstruction.fitting.smoothing import Fit
 from reconstruction.fitting.spline import evaluate
-from reconstruction.nurbs import Curve
 
 MIXED = 1.0  # spans to either side of a corner: cells so near may hold points of both walls
 _AROUND = 6.0  # spans of the smooth curve, which rounds it
@@ -29,9 +27,7 @@ _FARTHEST = 5.0  # standard deviations that a point counts at most
 _PLACES = 121
 
 
-def excess(
-    curve: Curve, fit: Fit, points: FloatArray, corner: float, cut: float, sigma_mm: float
-) -> float:
+def excess(sharp: FloatArray, fit: Fit, points: FloatArray, cut: float, sigma_mm: float) -> float:
     """Squared standard deviations by which the points about a corner prefer the smooth curve.
 
     A corner has two sides for a point to be near to, and is longer for it: points spread evenly
@@ -39,25 +35,18 @@ def excess(
 
     Parameters
     ----------
-    curve
-        With the corner at `corner`; its parameter is its share of the length.
+    sharp
+        (k, 2), a line around the corner.
     fit
         The smooth curve, about its parameter `cut`.
     points
-        (n, 2), the raw ones; those are counted whose foot on `curve` is a span away at most.
+        (n, 2), the raw ones; those are counted whose nearest place of `sharp` is not an end of it.
     """
-    lengths = span_lengths(fit.control_mm, fit.spans)
-    reach = MIXED * float(lengths.mean())
-    ahead = np.linspace(-1.0, 1.0, _PLACES)
-    u = corner + ahead * reach / float(lengths.sum())
-    t = cut + ahead * _AROUND
-    if fit.closed:
-        sharp, smooth = curve(np.mod(u, 1.0)), evaluate(fit.control_mm, np.mod(t, fit.spans))[0]
-    else:
-        sharp = curve(np.clip(u, 0.0, 1.0))
-        smooth = evaluate(fit.control_mm, np.clip(t, 0.0, fit.spans))[0]
+    t = cut + np.linspace(-_AROUND, _AROUND, _PLACES)
+    t = np.mod(t, fit.spans) if fit.closed else np.clip(t, 0.0, fit.spans)
+    smooth = evaluate(fit.control_mm, t)[0]
     far = _FARTHEST * sigma_mm
-    margin = max(far, reach)
+    margin = max(far, _length(sharp) / 2)
     near = _between(points, sharp.min(axis=0) - margin, sharp.max(axis=0) + margin)
     difference, count = _difference(points[near], sharp, smooth, far)
     longer = _length(sharp) / max(_length(_beside(smooth, sharp)), 1e-300)

@@ -20,6 +20,7 @@ from scipy.spatial import cKDTree
 
 from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.errors import ReconstructionError
+from reconstruction.fitting.bending import span_lengths
 from reconstruction.fitting.misfits import MIXED
 from reconstruction.fitting.moments import ArcCells
 from reconstruction.fitting.preliminary import reknotted, through
@@ -45,11 +46,37 @@ class Piece:
     rows: IntArray  # of the cells
 
 
-def cut_at(fit: Fit, cells: ArcCells, cuts: FloatArray) -> tuple[list[Piece], Noise] | None:
-    """The pieces between cuts, met at corners, and the noise they show.
+@dataclass(frozen=True, slots=True, eq=False)
+class Corner:
+    """Where two pieces cross; both run on past it."""
 
-    None if they do not meet, or a single cut is in vain.
-    """
+    before: Piece
+    after: Piece
+    end: float  # parameter on `before`
+    start: float  # parameter on `after`
+
+    def line(self, reach_mm: float, count: int) -> FloatArray:
+        """Places (2 * count + 1, 2) within a reach to either side of it, itself in the middle."""
+        sides = []
+        for piece, at, way in ((self.before, self.end, -1.0), (self.after, self.start, 1.0)):
+            fit = piece.fit
+            span = float(span_lengths(fit.control_mm, fit.spans).mean())
+            t = at + way * np.arange(count + 1) / count * reach_mm / span
+            sides.append(evaluate(fit.control_mm, np.clip(t, 0.0, fit.spans))[0])
+        return np.vstack([sides[0][:0:-1], (sides[0][:1] + sides[1][:1]) / 2, sides[1][1:]])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cut:
+    """A run in pieces that cross at its corners, and the noise about them."""
+
+    pieces: list[Piece]
+    corners: list[Corner]  # in the order of the cuts
+    noise: Noise
+
+
+def cut_at(fit: Fit, cells: ArcCells, cuts: FloatArray) -> Cut | None:
+    """Cut a run; None if the pieces do not cross, or a single cut is in vain."""
     rows = _clear(fit, cells, cuts)
     pieces = [_fitted(fit, cells, rows, start, end) for start, end in _ways(fit, cuts)]
     whole = [piece for piece in pieces if piece is not None]
@@ -60,8 +87,13 @@ def cut_at(fit: Fit, cells: ArcCells, cuts: FloatArray) -> tuple[list[Piece], No
     if len(cuts) == 1 and not preferred(fit, cells, whole, best):
         return None
     settled = _settled(fit, whole, cells)
-    met = None if settled is None else _met(*settled, cells, closed=fit.closed)
-    return None if settled is None or met is None else (met, settled[1])
+    if settled is None:
+        return None
+    own, noise = settled
+    pairs = [(own[-1], own[0])] if fit.closed else []
+    corners = [_corner(*pair) for pair in (*pairs, *pairwise(own))]
+    found = [corner for corner in corners if corner is not None]
+    return Cut(own, found, noise) if len(found) == len(corners) else None
 
 
 def _clear(fit: Fit, cells: ArcCells, cuts: FloatArray) -> IntArray:
@@ -84,16 +116,17 @@ def _fitted(fit: Fit, cells: ArcCells, rows: IntArray, start: float, end: float)
     """Fit the cells of one piece by a curve that runs on past its cuts."""
     share = fit.t[rows] - start
     share = np.mod(share, fit.spans) if fit.closed else share
-    rows = rows[(share >= 0) & (share <= end - start)]
+    inside = (share >= 0) & (share <= end - start)
+    rows = rows[inside]
     if len(rows) < _LEAST_CELLS:
         return None
-    places = _straightened(fit, start, end)
+    places, smooth_t = _straightened(fit, start, end)
     along = np.concatenate([[0.0], np.linalg.norm(np.diff(places, axis=0), axis=1).cumsum()])
     spans = max(int(end - start), 4)
     t = along / along[-1] * spans
     control = through(places, t, spans, closed=False)
     own = cells.only(rows)
-    feet = t[cKDTree(places).query(own.means_mm)[1]]
+    feet = np.interp(start + share[inside], smooth_t, t)
     noise = fit.noise.only(rows)
     try:
         return Piece(smooth(own, control, feet, noise, closed=False, still=_NEARLY), rows)
@@ -101,8 +134,11 @@ def _fitted(fit: Fit, cells: ArcCells, rows: IntArray, start: float, end: float)
         return None
 
 
-def _straightened(fit: Fit, start: float, end: float) -> FloatArray:
-    """The smooth curve without its rounded corners, drawn on along its tangents past the cuts."""
+def _straightened(fit: Fit, start: float, end: float) -> tuple[FloatArray, FloatArray]:
+    """The smooth curve without its rounded corners, drawn on along its tangents past the cuts.
+
+    Places, and the smooth curve's parameters there, as if it ran on.
+    """
     margin = min(WINDOW / 2, (end - start) / 4)
     first = margin if fit.closed or start > 0.0 else 0.0
     last = margin if fit.closed or end < fit.spans else 0.0
@@ -111,18 +147,19 @@ def _straightened(fit: Fit, start: float, end: float) -> FloatArray:
     beyond = np.linspace(0.0, 2.5, 12)[1:, None]
     head = places[0] - first * beyond[::-1] * tangents[0]
     tail = places[-1] + last * beyond * tangents[-1]
-    return np.vstack([head[: 12 * (first > 0)], places, tail[: 12 * (last > 0)]])
+    before, after = (t[:1] - first * beyond[::-1, 0], t[-1:] + last * beyond[:, 0])
+    pieces = ((head, before, first), (places, t, 1.0), (tail, after, last))
+    kept = [(each, at) for each, at, drawn in pieces if drawn > 0.0]
+    return np.vstack([each for each, _ in kept]), np.concatenate([at for _, at in kept])
 
 
-def _met(pieces: list[Piece], noise: Noise, cells: ArcCells, *, closed: bool) -> list[Piece] | None:
+def met(cut: Cut, cells: ArcCells) -> list[Piece] | None:
     """Trim the pieces where they cross, share the cells anew, and fit between the corners."""
+    pieces, noise = cut.pieces, cut.noise
     stretches = [[0.0, float(piece.fit.spans)] for piece in pieces]
-    for one in range(len(pieces) if closed else len(pieces) - 1):
-        other = (one + 1) % len(pieces)
-        crossing = _crossing(pieces[one].fit, pieces[other].fit)
-        if crossing is None:
-            return None
-        stretches[one][1], stretches[other][0] = crossing
+    for corner in cut.corners:
+        stretches[pieces.index(corner.before)][1] = corner.end
+        stretches[pieces.index(corner.after)][0] = corner.start
     if any(not end - start > 1.0 for start, end in stretches):
         return None
     controls = [_trimmed(piece.fit, *ends) for piece, ends in zip(pieces, stretches, strict=True)]
@@ -226,8 +263,9 @@ def _trimmed(fit: Fit, start: float, end: float) -> FloatArray:
     return reknotted(fit.control_mm, max(int(end - start), 4), closed=False, within=(start, end))
 
 
-def _crossing(one: Fit, other: Fit) -> tuple[float, float] | None:
-    """Parameters at which the end of one piece crosses the start of the next."""
+def _corner(before: Piece, after: Piece) -> Corner | None:
+    """Where the end of one piece crosses the start of the next."""
+    one, other = before.fit, after.fit
     t = np.linspace(0.5 * one.spans, one.spans, 200)
     u = np.linspace(0.0, 0.5 * other.spans, 200)
     a, b = evaluate(one.control_mm, t)[0], evaluate(other.control_mm, u)[0]
@@ -241,7 +279,8 @@ def _crossing(one: Fit, other: Fit) -> tuple[float, float] | None:
     if not len(hits):
         return None
     i, j = hits[0]
-    return float(t[i] + s[i, j] * (t[1] - t[0])), float(u[j] + r[i, j] * (u[1] - u[0]))
+    end, start = t[i] + s[i, j] * (t[1] - t[0]), u[j] + r[i, j] * (u[1] - u[0])
+    return Corner(before, after, float(end), float(start))
 
 
 def preferred(

@@ -128,6 +128,8 @@ def _drift(squares: FloatArray, held: FloatArray, share: FloatArray, *, closed: 
     at = np.minimum((share * stretches).astype(np.int64), stretches - 1)
     counts = np.bincount(at, held, stretches) + 1e-9
     usual = float(_medians(squares, held, np.zeros(len(at), np.int64), 1)[0])
+    if not usual > 0.0:  # exact data
+        return np.ones(len(squares))
     logs = np.log((counts * _medians(squares, held, at, stretches) / usual + 1.0) / (counts + 1.0))
     chance = _MEDIANS / (counts + 1.0)
     excess = float(np.average(logs**2 - chance, weights=counts))

@@ -9,7 +9,8 @@ have half a million.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import math
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -26,7 +27,8 @@ from reconstruction.fitting.section_fit import fit_chain
 from reconstruction.fitting.topology import UNORDERED, Topology, find_chains
 
 _LEAST = 4  # points
-_LARGEST_MM = 1e100  # the squares of lengths must stay finite
+_LARGEST_MM = 1e30  # the powers of lengths must stay finite ...
+_SMALLEST_MM = 1e-30  # ... and above nothing
 _FAR = 1e5  # times the size of a slice
 
 
@@ -40,7 +42,7 @@ class SectionFit:
     strays: IntArray  # indices of points that were set aside
     unordered: IntArray  # indices of points that hang together without a curve
     failures: tuple[str, ...]  # why chains gave no curve; their points are among the unordered
-    sigma_mm: float  # median standard deviation across the chains; 0 without any
+    sigma_mm: float  # standard deviation of the points across their curves; 0 without any
     spacing_mm: float  # length of the chains over their number of points; inf without any
 
     def __post_init__(self) -> None:
@@ -49,8 +51,13 @@ class SectionFit:
 
     @property
     def width_mm(self) -> float:
-        """Thickness of the cloud, 4 sigma."""
+        """Thickness of the cloud, 4 sigma: 95 % of a Gaussian band."""
         return 4.0 * self.sigma_mm
+
+    @property
+    def band_mm(self) -> float:
+        """Thickness of the cloud as the full width of a uniform band of the same variance."""
+        return math.sqrt(12.0) * self.sigma_mm
 
 
 def fit_section(points_mm: ArrayLike, *, exact: Exact = Exact.AUTO) -> list[FittedCurve]:
@@ -117,9 +124,16 @@ def _resolved(points: FloatArray, exact: Exact, heights: FloatArray | None) -> S
         strays=topology.strays,
         unordered=_without_curve(topology, fitted),
         failures=tuple(failures),
-        sigma_mm=topology.sigma_mm,
+        sigma_mm=_sigma_mm(fitted.values(), otherwise=topology.sigma_mm),
         spacing_mm=topology.spacing_mm,
     )
+
+
+def _sigma_mm(curves: Iterable[FittedCurve], *, otherwise: float) -> float:
+    """Pooled standard deviation across the curves, by their points."""
+    pairs = [(curve.points_used, curve.sigma_mm**2) for curve in curves]
+    held = sum(points for points, _ in pairs)
+    return math.sqrt(sum(n * square for n, square in pairs) / held) if held else otherwise
 
 
 def _without_curve(topology: Topology, fitted: Collection[int]) -> IntArray:
@@ -147,6 +161,8 @@ def _checked(points_mm: ArrayLike) -> tuple[FloatArray, FloatArray | None]:
 
     So far from the origin that the squares of coordinates would not know the slice any more.
     """
+    if np.ma.is_masked(points_mm):
+        raise ValueError("points_mm: some are masked; pass only the rows that are not")
     given = np.asarray(points_mm)
     if given.ndim != 2 or given.shape[1] != 2:
         raise ValueError(f"points_mm: shape (n, 2) expected, got {given.shape}")
@@ -162,7 +178,10 @@ def _checked(points_mm: ArrayLike) -> tuple[FloatArray, FloatArray | None]:
         raise Unfittable(
             f"{lost} of {len(points)} points are no finite lengths in mm: set them aside first"
         )
-    far = max(-float(low.min()), float(high.max())) > _FAR * float((high - low).max())
+    size = float((high - low).max())
+    if not size > _SMALLEST_MM:
+        raise TooFewPoints(f"all {len(points)} points lie in one place; a curve needs {_LEAST}")
+    far = max(-float(low.min()), float(high.max())) > _FAR * size
     return points, low if far else None
 
 

@@ -185,6 +185,8 @@ def _along(
     spans, count = spans_of(control, closed=closed), len(reach)
     t = np.arange(count) / count * spans if closed else np.linspace(0.0, spans, count)
     vertices, tangents, _ = evaluate(control, t)
+    step = float(np.linalg.norm(np.diff(vertices, axis=0), axis=1).max())
+    reach = np.maximum(reach, step)  # exact data, too, lie that far from the nearest vertex
     lengths = np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-300)
     normals = np.stack([-tangents[:, 1], tangents[:, 0]], axis=1) / lengths
     if singly:

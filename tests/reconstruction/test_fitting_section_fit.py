@@ -80,6 +80,35 @@ def test_covariance_lies_across_the_curve() -> None:
     np.testing.assert_allclose(np.trace(covariance, axis1=1, axis2=2), across)
 
 
+def test_one_parameter_gives_one_value_and_several_an_array() -> None:
+    points, share = noisy(superformula(), 1000, 0.5, 8)
+    curve = fitted(points, chain_of(points, share, 0.5))
+    for name, shape in (
+        ("deviation_mm", ()), ("normals", (2,)), ("covariance", (2, 2)), ("curvature", ())
+    ):  # fmt: skip
+        one, three = getattr(curve, name)(0.3), getattr(curve, name)([0.1, 0.3, 0.5])
+        assert np.shape(one) == shape
+        assert three.shape == (3, *shape)
+        np.testing.assert_array_equal(three[1], one)
+    assert curve(0.3).shape == (2,)
+
+
+def test_curvature_is_that_of_the_ellipse_and_positive_to_the_left() -> None:
+    points, share = noisy(ellipse(), 2000, 0.2, 9)
+    curve = fit_chain(points, chain_of(points, share, 0.2))
+    x, y = curve(EVEN).T
+    wanted = 60 * 30 / ((30 * x / 60) ** 2 + (60 * y / 30) ** 2) ** 1.5
+    np.testing.assert_allclose(curve.curvature(EVEN), wanted, rtol=0.02)
+
+
+def test_a_curve_introduces_itself_in_a_line() -> None:
+    points, share = noisy(superformula(), 2000, 0.5, 7, gap=(0.40, 0.46))
+    words = repr(fitted(points, chain_of(points, share, 0.5)))
+    assert words.startswith("<FittedCurve: free, closed, ")
+    assert words.endswith("1 gap>")
+    assert len(words) < 120
+
+
 def test_many_points_gathered_into_cells_fit_like_the_points_themselves(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

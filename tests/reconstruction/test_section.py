@@ -101,6 +101,7 @@ def test_thickness_and_spacing_are_those_of_the_cloud(rng: np.random.Generator) 
     found = resolve_section(cloud(superformula(), rng, per_mm=10.0, band_mm=2.0))
     assert found.sigma_mm == pytest.approx(2.0 / math.sqrt(12.0), rel=0.15)
     assert found.width_mm == 4.0 * found.sigma_mm
+    assert found.band_mm == pytest.approx(2.0, rel=0.15)
     assert found.spacing_mm == pytest.approx(0.1, rel=0.05)
 
 
@@ -202,6 +203,13 @@ def test_another_shape_or_no_numbers_is_the_callers_mistake(points: object) -> N
         fit_section(points)
 
 
+def test_masked_rows_are_not_taken_for_points(rng: np.random.Generator) -> None:
+    points = annulus(rng)
+    with pytest.raises(ValueError, match="masked"):
+        fit_section(np.ma.masked_greater(points, 39.0))
+    assert len(fit_section(np.ma.masked_greater(points, 1e9))) == 2  # nothing is masked
+
+
 @pytest.mark.parametrize("points", [np.zeros((0, 2)), np.eye(2), np.ones((500, 2)), np.eye(2)[:1]])
 def test_too_few_places_are_named(points: FloatArray) -> None:
     with pytest.raises(TooFewPoints, match="a curve needs 4"):
@@ -216,11 +224,44 @@ def test_what_is_no_length_is_counted(rng: np.random.Generator, value: float) ->
         fit_section(points)
 
 
-def test_points_on_one_line_are_a_line() -> None:
-    x = np.random.default_rng(0).random(400)
-    (curve,) = fit_section(np.column_stack([100.0 * x, 30.0 * x]))
+@pytest.mark.parametrize("count", [400, 2000, 20_000])
+@pytest.mark.parametrize("way", [(100.0, 30.0), (100.0, 0.0), (0.0, 1.0)])
+def test_points_on_one_line_are_a_line(count: int, way: tuple[float, float]) -> None:
+    share = np.random.default_rng(0).random((count, 1))
+    (curve,) = fit_section(share * way)
     assert (curve.kind, curve.closed) == ("line", False)
-    np.testing.assert_allclose(curve([0.5])[0, 1] / curve([0.5])[0, 0], 0.3, rtol=1e-6)
+    size = math.hypot(*way)
+    ends = curve([0.0, 1.0]) / size
+    unit = np.array(way) / size
+    assert np.abs(ends[:, 0] * unit[1] - ends[:, 1] * unit[0]).max() < 1e-6
+    np.testing.assert_allclose(np.sort(ends @ unit), [0.0, 1.0], atol=0.03)
+    assert curve.points_used > 0.95 * count
+
+
+@pytest.mark.parametrize("count", [50, 3000, 20_000])
+@pytest.mark.parametrize(("a", "b", "kind"), [(50, 50, "circle"), (60, 30, "ellipse")])
+def test_a_ring_without_noise_is_exact(count: int, a: float, b: float, kind: str) -> None:
+    turn = np.random.default_rng(1).random(count) * math.tau
+    points = np.column_stack([a * np.cos(turn), b * np.sin(turn)])
+    (curve,) = fit_section(points)
+    assert curve.kind == kind
+    assert curve.sigma_mm < 1e-4
+    assert np.hypot(*(curve(np.linspace(0, 1, 200)) / [a, b]).T) == pytest.approx(1, abs=1e-5)
+
+
+@pytest.mark.parametrize("scale", [1e-25, 1e25])
+def test_any_unit_of_length_does(rng: np.random.Generator, scale: float) -> None:
+    points = cloud(ellipse(60.0, 30.0), rng, per_mm=5.0, band_mm=BAND_MM)
+    (curve,), (here,) = fit_section(points * scale), fit_section(points)
+    assert curve.kind == here.kind == "ellipse"
+    assert curve.sigma_mm == pytest.approx(here.sigma_mm * scale, rel=1e-3)
+
+
+@pytest.mark.parametrize("scale", [1e-60, 1e60])
+def test_lengths_beyond_all_measure_are_named(rng: np.random.Generator, scale: float) -> None:
+    points = cloud(ellipse(60.0, 30.0), rng, per_mm=5.0, band_mm=BAND_MM)
+    with pytest.raises((TooFewPoints, Unfittable), match=r"in one place|no finite lengths"):
+        fit_section(points * scale)
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)

@@ -250,7 +250,7 @@ def test_options_that_cannot_be_meant_are_refused(place: Path, ring: Path) -> No
 
 
 def test_the_verb_names_what_is_wrong() -> None:
-    with pytest.raises(ValueError, match="'always' is not a valid Exact"):
+    with pytest.raises(ValueError, match="exact 'always': 'auto' or 'never' expected"):
         loftscan.fit_section(rings(20.0), exact="always")  # type: ignore[arg-type] # on purpose
     with pytest.raises(TooFewPoints):
         loftscan.fit_section(np.eye(2))
