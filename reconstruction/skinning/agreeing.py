@@ -20,7 +20,7 @@ from typing import Protocol
 import numpy as np
 
 from reconstruction.arrays import BoolArray
-from reconstruction.skinning.doubts import Doubt
+from reconstruction.skinning.doubt import Doubt
 from reconstruction.skinning.following import Followed
 from reconstruction.skinning.loops import Loops
 from reconstruction.skinning.slabs import Event, Slab
@@ -28,8 +28,10 @@ from reconstruction.skinning.slabs import Event, Slab
 # A change and the change back cost 2 together. To pass over one contour costs less; to pass over
 # one in each of two slices costs more: what two slices show is a feature of the part.
 _PASSED_SLICE = 0.5
+_UNRESOLVED_SLICE = 0.1  # what is missing there is not known to end
 _LOST_CONTOUR = 1.0  # nothing, if it was doubtful anyway
 _MOST_PASSED = 3  # slices in a row
+_MOST_UNRESOLVED = 12
 
 
 def agreeing_slabs(loops: Loops, doubtful: BoolArray, doubts: list[Doubt]) -> list[Slab]:
@@ -38,7 +40,7 @@ def agreeing_slabs(loops: Loops, doubtful: BoolArray, doubts: list[Doubt]) -> li
     `doubtful` (l,) contours weigh nothing; at the ends of the stack, slices are passed over only
     if they have no others.
     """
-    followed, count = Followed(loops), len(loops.stack_mm)
+    followed, count = Followed(loops), len(loops.stack)
     if count < 2:
         return []
     chosen = cheapest_way(_Prices(loops, followed, doubtful), count)
@@ -63,7 +65,11 @@ class _Prices:
 
     def passing(self, lower: int, upper: int) -> float:
         """Of the slices between, without their contours."""
-        return _PASSED_SLICE * (upper - lower - 1)
+        unresolved = int(self._loops.stack.unresolved[lower + 1 : upper].sum())
+        others = upper - lower - 1 - unresolved
+        if others > _MOST_PASSED or unresolved > _MOST_UNRESOLVED:
+            return np.inf
+        return _PASSED_SLICE * others + _UNRESOLVED_SLICE * unresolved
 
     def going(self, lower: int, upper: int) -> float:
         """Of the contours between that are in accord with neither slice, and of all changes.
@@ -75,7 +81,7 @@ class _Prices:
         if upper == lower + 1:
             return price
         single = [each for k in range(lower, upper) for each in self._followed.seen(k, k + 1)]
-        if sum(map(_euler, single)) == sum(map(_euler, events)):
+        if sum(map(_balance, single)) == sum(map(_balance, events)):
             return np.inf
         between = range(lower + 1, upper)
         price += sum(float(self._weights[self._loops.at(level)].sum()) for level in between)
@@ -86,6 +92,8 @@ class _Prices:
 
     def leaving_out(self, levels: range) -> float:
         """Of slices at an end of the stack."""
+        if len(levels) > _MOST_PASSED:
+            return np.inf
         numbers = [self._loops.at(level) for level in levels]
         if any(not len(each) or self._weights[each].any() for each in numbers):
             return np.inf
@@ -96,7 +104,7 @@ class Prices(Protocol):
     """What ways through a stack cost."""
 
     def passing(self, lower: int, upper: int) -> float:
-        """Of the slices between two, in any case."""
+        """Of the slices between two, in any case; infinite if they are too many."""
 
     def going(self, lower: int, upper: int) -> float:
         """Of the way from one slice to another, besides; asked for only where it may pay."""
@@ -106,36 +114,37 @@ class Prices(Protocol):
 
 
 def cheapest_way(prices: Prices, count: int) -> list[int]:
-    """Choose the slices of the cheapest way through `count` of them, at least 2."""
-    reach = min(_MOST_PASSED, count - 2)
-    best = np.array([prices.leaving_out(range(k)) if k <= reach else np.inf for k in range(count)])
+    """Choose the slices of the cheapest way through `count` of them; 2 or more of each."""
+    begun = np.array([prices.leaving_out(range(level)) for level in range(count)])
+    come = np.full(count, np.inf)  # from below
     came_from = np.full(count, -1)
     for upper in range(1, count):
-        for lower in range(upper - 1, max(upper - _MOST_PASSED - 2, -1), -1):
-            price = best[lower] + prices.passing(lower, upper)
-            if price >= best[upper]:  # so nothing is asked for where nothing changes
+        for lower in range(upper - 1, -1, -1):
+            passing = prices.passing(lower, upper)
+            if passing == np.inf:
+                break
+            price = min(begun[lower], come[lower]) + passing
+            if price >= come[upper]:  # so nothing is asked for where nothing changes
                 continue
             price += prices.going(lower, upper)
-            if price < best[upper]:
-                best[upper], came_from[upper] = price, lower
-    ends = [
-        best[k] + prices.leaving_out(range(k + 1, count)) for k in range(count - 1 - reach, count)
-    ]
-    chosen = [count - 1 - reach + int(np.argmin(ends))]
-    while came_from[chosen[-1]] >= 0:
+            if price < come[upper]:
+                come[upper], came_from[upper] = price, lower
+    ends = [come[last] + prices.leaving_out(range(last + 1, count)) for last in range(count)]
+    chosen = [int(np.argmin(ends))]
+    while len(chosen) == 1 or come[chosen[-1]] < begun[chosen[-1]]:
         chosen.append(int(came_from[chosen[-1]]))
     return chosen[::-1]
 
 
 def _changes(event: Event) -> int:
     """How many elementary changes it is: beginning, closing, folding, merging, parting."""
-    plain = len(event.below) == len(event.above) == 1
-    return 0 if plain else max(abs(_euler(event)), 1)
+    return abs(_balance(event))
 
 
-def _euler(event: Event) -> int:
-    """Euler number of a sphere with a hole for each rim."""
-    return 2 - len(event.below) - len(event.above)
+def _balance(event: Event) -> int:
+    """1 for what begins or ends, a fold as well; -1 for each merging or parting."""
+    rims = len(event.below) + len(event.above)
+    return 1 if rims == 2 and not (event.below and event.above) else 2 - rims
 
 
 def _passed_over(loops: Loops, slabs: Sequence[Slab], count: int) -> list[Doubt]:
@@ -151,7 +160,7 @@ def _passed_over(loops: Loops, slabs: Sequence[Slab], count: int) -> list[Doubt]
             what = f"{lost} of {len(here)} contours contradict the slices below and above; left out"
         elif len(here):
             what = "a contour that the slices below and above show is missing; bridged"
-        found.append(Doubt(int(loops.indices[level]), what))
+        found.append(Doubt(int(loops.stack.indices[level]), what))
     return found
 
 

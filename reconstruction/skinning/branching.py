@@ -18,15 +18,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from reconstruction.arrays import BoolArray, FloatArray, IntArray
+from reconstruction.arrays import BoolArray
 from reconstruction.errors import NotLoftable
 from reconstruction.skinning.agreeing import agreeing_slabs, seen_once
 from reconstruction.skinning.branch import Branch, Ending, Joint
+from reconstruction.skinning.doubt import Doubt
 from reconstruction.skinning.doubts import (
-    Doubt,
     crossings,
     doubtful_shapes,
     off_the_line,
@@ -36,9 +35,8 @@ from reconstruction.skinning.doubts import (
 from reconstruction.skinning.loops import AROUND, Loops, loops_of
 from reconstruction.skinning.outlines import Outline
 from reconstruction.skinning.slabs import Event, Slab
+from reconstruction.skinning.stack import stack_up
 from reconstruction.skinning.threads import Chain, chains_of, tie_threads
-
-_SAME = 1e-9  # of the stack's height: slices closer than that lie at one height
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,6 +77,7 @@ def find_branches(
     heights_mm: ArrayLike,
     *,
     indices: Sequence[int] | None = None,
+    unresolved: Sequence[bool] | None = None,
 ) -> Branching:
     """Follow closed outlines from slice to slice.
 
@@ -91,6 +90,9 @@ def find_branches(
     indices
         (s,) of the slices, to name them by; unset: those of their outlines, and an empty slice
         counts on from the one below.
+    unresolved
+        (s,), whether points of a slice hang together in no closed outline, but in open runs or
+        heaps: what is missing there is not known to end.
 
     Raises
     ------
@@ -101,7 +103,7 @@ def find_branches(
         parallel.
     """
     doubts: list[Doubt] = []
-    given = loops_of(*_at_heights_of_their_own(*_checked(slices, heights_mm, indices), doubts))
+    given = loops_of(stack_up(slices, heights_mm, indices, unresolved, doubts))
     loops = given.without(unusable_loops(given, doubts))
     crossing = crossings(loops)
     doubts += doubtful_shapes(loops, crossing)
@@ -121,44 +123,6 @@ def find_branches(
         tuple(sorted(doubts, key=lambda each: each.slice_index)),
         tuple(each for each in given.outlines if id(each) not in used),
     )
-
-
-_Stack = tuple[list[Sequence[Outline]], FloatArray, IntArray]
-
-
-def _checked(
-    slices: Sequence[Sequence[Outline]], heights_mm: ArrayLike, indices: Sequence[int] | None
-) -> _Stack:
-    stack_mm = np.asarray(heights_mm, dtype=np.float64)
-    if stack_mm.shape != (len(slices),):
-        raise ValueError(f"heights_mm: {len(slices)} expected, got shape {stack_mm.shape}")
-    if not np.isfinite(stack_mm).all() or (np.diff(stack_mm) < 0.0).any():
-        raise ValueError("heights_mm: finite and ascending expected; sort the slices first")
-    if indices is not None and len(indices) != len(slices):
-        raise ValueError(f"indices: {len(slices)} expected, got {len(indices)}")
-    named: list[int] = []
-    for level, piece in enumerate(slices):
-        following = named[-1] + 1 if named else 0
-        given = following if indices is None else indices[level]
-        named.append(piece[0].slice_index if piece else given)
-    return list(slices), stack_mm, np.array(named, dtype=np.int64)
-
-
-def _at_heights_of_their_own(
-    slices: list[Sequence[Outline]], stack_mm: FloatArray, indices: IntArray, doubts: list[Doubt]
-) -> _Stack:
-    """Of slices at one height, keep the first that is not empty."""
-    kept: list[int] = []
-    same_mm = _SAME * float(np.ptp(stack_mm)) if len(stack_mm) else 0.0
-    for level, piece in enumerate(slices):
-        if not kept or stack_mm[level] - stack_mm[kept[-1]] > same_mm:
-            kept.append(level)
-            continue
-        out, other = (level, kept[-1]) if slices[kept[-1]] or not piece else (kept[-1], level)
-        kept[-1] = other
-        what = f"lies at the height of slice {indices[other]}; left out"
-        doubts.append(Doubt(int(indices[out]), what))
-    return [slices[each] for each in kept], stack_mm[kept], indices[kept]
 
 
 def _without(slabs: Sequence[Slab], dropped: BoolArray) -> list[Slab]:

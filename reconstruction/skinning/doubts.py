@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numba import njit
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
+from reconstruction.skinning.doubt import Doubt
 from reconstruction.skinning.loops import AROUND, Loops
 
 _SAME = 1e-9  # of the size: closer heights or contours are one and the same
@@ -17,17 +16,6 @@ _GROSS = 0.5  # of a contour's radius: the neighbours alone are the better witne
 _WIDE = 2.5  # times the usual scatter across a contour
 _LEAST_USUAL = 5  # contours, to say what is usual
 _ARC = 8  # corners of a polygon looked at together
-
-
-@dataclass(frozen=True, slots=True)
-class Doubt:
-    """Something about one slice that the operator should look at."""
-
-    slice_index: int
-    what: str
-
-    def __str__(self) -> str:
-        return f"slice {self.slice_index}: {self.what}"
 
 
 def unusable_loops(loops: Loops, doubts: list[Doubt]) -> BoolArray:
@@ -62,7 +50,7 @@ def doubtful_shapes(loops: Loops, crossing: BoolArray) -> list[Doubt]:
         whom = "itself" if crossing[number, 0] else "another one"
         what = f"a contour {loops.across(int(number))} crosses {whom}"
         doubts.append(Doubt(loops.outlines[number].slice_index, what))
-    repeated = [int(loops.indices[level]) for level in _repeated(loops)]
+    repeated = [int(loops.stack.indices[level]) for level in _repeated(loops)]
     if repeated:
         many = f" (as are {len(repeated) - 1} more)" if len(repeated) > 1 else ""
         what = f"its contours are those of the slice below, exactly{many}; was it recorded twice?"

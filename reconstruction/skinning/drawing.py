@@ -29,6 +29,11 @@ class SliceOutlines:
     notes: tuple[str, ...]  # what is not certain
 
     @property
+    def unresolved(self) -> bool:
+        """Whether points hang together in no closed outline, but in open runs or heaps."""
+        return bool(self.runs or self.unordered)
+
+    @property
     def height_mm(self) -> float:
         """Of the cutting plane along its normal."""
         return float(self.frame.origin_mm @ self.frame.axes[2])

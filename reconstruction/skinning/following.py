@@ -57,7 +57,7 @@ class Followed:
     def _follow(self, lower: int, upper: int) -> tuple[Event, ...]:
         loops = self._loops
         below, above = loops.at(lower), loops.at(upper)
-        rise = loops.stack_mm[upper] - loops.stack_mm[lower]
+        rise = loops.stack.heights_mm[upper] - loops.stack.heights_mm[lower]
         expected = loops.centres_mm[below] + rise * self._drifts[below]
         events = events_between(loops, below, above, expected)
         partners = {p: q for (p,), (q,) in map(_plain, events) if p >= 0}
@@ -86,7 +86,7 @@ class Followed:
         return [p for p, q in pairs if q == number]
 
     def _after(self, number: int, level: int) -> list[int]:
-        if level + 1 == len(self._loops.stack_mm):
+        if level + 1 == len(self._loops.stack.heights_mm):
             return []
         return [q for p, q in self._partner(level, level + 1).items() if p == number]
 

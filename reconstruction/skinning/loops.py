@@ -11,7 +11,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +18,7 @@ from numba import njit
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray, frozen
 from reconstruction.skinning.outlines import Outline
+from reconstruction.skinning.stack import Stack
 from reconstruction.slices import Frame
 
 CORNERS = 128  # of every polygon
@@ -30,8 +30,7 @@ _PARALLEL = 1e-6  # of a unit normal: planes farther apart in direction are not 
 class Loops:
     """The closed outlines of a stack, slice by slice, each as a polygon."""
 
-    stack_mm: FloatArray  # (s,), heights of all slices, of empty ones too
-    indices: IntArray  # (s,), of all slices
+    stack: Stack
     outlines: tuple[Outline, ...]
     levels: IntArray  # (l,): which of the slices given
     heights_mm: FloatArray  # (l,)
@@ -43,10 +42,10 @@ class Loops:
     centres_mm: FloatArray  # (l, 2), of the areas
 
     def __post_init__(self) -> None:
-        for name in ("indices", "levels", "parents", "depths"):
+        for name in ("levels", "parents", "depths"):
             object.__setattr__(self, name, frozen(getattr(self, name), np.int64))
         object.__setattr__(self, "holes", frozen(self.holes, np.bool_))
-        for name in ("stack_mm", "heights_mm", "corners_mm", "areas_mm2", "centres_mm"):
+        for name in ("heights_mm", "corners_mm", "areas_mm2", "centres_mm"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
     def __len__(self) -> int:
@@ -78,29 +77,25 @@ class Loops:
         return replace(self, outlines=outlines, parents=parents, depths=depths, **taken)
 
 
-def loops_of(
-    slices: Sequence[Sequence[Outline]], heights_mm: FloatArray, indices: IntArray
-) -> Loops:
-    """Sample closed outlines; slices at heights (s,), with indices (s,) to call them by.
+def loops_of(stack: Stack) -> Loops:
+    """Sample closed outlines.
 
     Raises
     ------
     ValueError
         An outline is open, or lies in a plane that is not parallel to the others.
     """
-    outlines = tuple(each for piece in slices for each in piece)
-    counts = [len(piece) for piece in slices]
-    levels = np.repeat(np.arange(len(slices)), counts)
+    outlines = tuple(each for piece in stack.slices for each in piece)
+    counts = [len(piece) for piece in stack.slices]
+    levels = np.repeat(np.arange(len(stack)), counts)
     corners = np.empty((len(outlines), CORNERS, 2))
     for number, outline in enumerate(outlines):
         corners[number] = _polygon(outline, outlines[0].frame)
     areas, centres = _measured(corners)
     parents, depths = _nested(levels, corners, areas)
     holes = np.array([each.hole for each in outlines], dtype=np.bool_)
-    at = heights_mm[levels]
-    return Loops(
-        heights_mm, indices, outlines, levels, at, holes, corners, parents, depths, areas, centres
-    )
+    at = stack.heights_mm[levels]
+    return Loops(stack, outlines, levels, at, holes, corners, parents, depths, areas, centres)
 
 
 def _polygon(outline: Outline, frame: Frame) -> FloatArray:

@@ -87,11 +87,13 @@ def _enter(threads: Threads, event: Event, slab: Slab, loops: Loops) -> None:
     sides = [(each, UP) for each in event.below] + [(each, DOWN) for each in event.above]
     if len(sides) == 1:
         beyond = slab.lower + 1 if event.below else slab.upper - 1
-        threads.ends[sides[0]] = End(Ending.CLOSED, float(loops.stack_mm[beyond]))
+        threads.ends[sides[0]] = End(Ending.CLOSED, float(loops.stack.heights_mm[beyond]))
     elif len(sides) == 2 and _is_plain(event, loops):
         threads.tie(*sides)
     else:
-        height_mm = 0.5 * float(loops.stack_mm[slab.lower] + loops.stack_mm[slab.upper])
+        height_mm = 0.5 * float(
+            loops.stack.heights_mm[slab.lower] + loops.stack.heights_mm[slab.upper]
+        )
         threads.ends.update(dict.fromkeys(sides, threads.new_joint(height_mm)))
 
 
