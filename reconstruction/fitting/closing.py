@@ -30,6 +30,7 @@ _RIVAL = 2.0  # times a bridge's cost: another one is no better than that, or le
 _LEAST_LOOP = 6.0  # bridges: a row this long is a loop if its ends touch
 # A gap's share of its loop: from here on the points leave in doubt whether it is a loop, ...
 _WIDE = 0.10
+_SMALL = 0.03  # ... up to here a loop is likelier even if ...
 _LIKELY = 0.20  # ... up to here a loop is likelier even if the ends do not face each other, ...
 _OPEN = 0.36  # ... and from here on nothing speaks for one.
 
@@ -157,6 +158,7 @@ class _Site:
             return True
         share = bridge.length / max(length + bridge.length, 1e-300)
         unseen = bridge.length > _UNSEEN * bridge.sigma and share <= _LIKELY
+        unseen |= share <= _SMALL
         return (bridge.turn <= _FACING or unseen) and share <= _OPEN
 
     def _may_close(self, way: list[int]) -> bool:
