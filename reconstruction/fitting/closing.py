@@ -21,7 +21,7 @@ from reconstruction.fitting.bridging import (
 )
 from reconstruction.fitting.thinning import Row
 
-_CRUMB = 2.5  # reaches: shorter rows have no direction
+_CRUMB = 1.5  # reaches: shorter rows have no direction
 _STRAIGHT = math.radians(90.0)  # turn up to which a row is carried on beyond its own length
 _FACING = math.radians(158.0)  # turn up to which two ends face each other
 _DOUBTFUL = math.radians(158.0)  # turn from which a closed loop stays in doubt
