@@ -76,7 +76,7 @@ class _Site:
         self.ends = ends_of(rows)
         self.walls = walls(rows)
         self.partner: dict[int, Bridge] = {}
-        self.bridges = bridges_between(self.ends)
+        self.bridges = bridges_between(rows, self.ends)
         for bridge in self.bridges:
             if bridge.one not in self.partner and bridge.other not in self.partner:
                 self._build(bridge)
@@ -110,8 +110,9 @@ class _Site:
 
     def _free(self, bridge: Bridge) -> bool:
         """Whether a bridge crosses nothing."""
-        way = way_of(self.ends, bridge)
-        return not self.walls.crossed_by(way, (bridge.one, bridge.other), self._near(bridge.one, bridge.other))
+        way, ends = way_of(self.ends, bridge), (bridge.one, bridge.other)
+        near = 2.0 * bridge.length if bridge.tip else self._near(*ends)
+        return not self.walls.crossed_by(way, ends, near)
 
     def _near(self, *ends: int) -> float:
         """So near their ends rows may be crossed: there nobody knows where they run."""
@@ -175,10 +176,12 @@ class _Site:
     def _may_turn(self, way: list[int]) -> bool:
         """Whether the gap between ends that face away has room for a turn that nobody saw."""
         i, j = np.searchsorted(self.ends.numbers, [way[0], way[-1]])
-        gap = math.hypot(*(self.ends.places[i] - self.ends.places[j]))
+        arm = self.ends.places[j] - self.ends.places[i]
+        gap = math.hypot(*arm)
         length = sum(self.rows[end // 2].length for end in way[::2]) + gap
         sigma = float(max(self.ends.sigma[i], self.ends.sigma[j]))
-        room = gap > _UNSEEN * sigma or gap > _WIDE * length
+        away = self.ends.outward[i] @ arm < 0.0 < self.ends.outward[j] @ arm
+        room = gap > _WIDE * length or (gap > _UNSEEN * sigma and not away)
         straight = self.ends.places[[i, j]]
         ends = way[0], way[-1]
         barred = self.walls.crossed_by(straight, ends, self._near(*ends))
