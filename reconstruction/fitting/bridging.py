@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
+from reconstruction.fitting.crossing import crossings, ways_along
 from reconstruction.fitting.thinning import Row
 
 _TANGENT = 5.0  # reaches: the stretch of a run that tells the direction of its end
@@ -199,23 +200,3 @@ def walls(rows: list[Row]) -> Walls:
                     else np.full(len(up), -1))  # fmt: skip
         back.append(np.minimum(up, down))
     return Walls(np.concatenate(ways), np.concatenate(ends), np.concatenate(back))
-
-
-def ways_along(nodes: FloatArray, *, closed: bool) -> FloatArray:
-    """From node to node: (m, 2) -> (m - 1 or m, 2, 2)."""
-    ring = np.vstack([nodes, nodes[:1]]) if closed else nodes
-    return np.stack([ring[:-1], ring[1:]], axis=1)
-
-
-def crossings(ways: FloatArray, others: FloatArray) -> BoolArray:
-    """Which ways cross which others; (k, 2, 2), (m, 2, 2) -> (k, m)."""
-    a, b = ways[:, None, 0], ways[:, None, 1]
-    c, d = others[None, :, 0], others[None, :, 1]
-    apart = (_side(a, b, c) * _side(a, b, d) < 0.0) & (_side(c, d, a) * _side(c, d, b) < 0.0)
-    return np.asarray(apart)
-
-
-def _side(p: FloatArray, q: FloatArray, r: FloatArray) -> FloatArray:
-    """Positive to the left of the way from p to q."""
-    arm = q - p
-    return arm[..., 0] * (r[..., 1] - p[..., 1]) - arm[..., 1] * (r[..., 0] - p[..., 0])

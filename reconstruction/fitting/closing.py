@@ -43,6 +43,7 @@ class Joined:
     members: tuple[int, ...]  # which rows
     bridge: FloatArray  # (m,), length of the bridge that the way after a node is of; 0: of none
     ambiguous: bool  # the points cannot tell whether it is closed
+    put_together: bool  # of several rows, or closed over a gap
 
 
 def join(rows: list[Row]) -> list[Joined]:
@@ -64,7 +65,8 @@ def join(rows: list[Row]) -> list[Joined]:
                 those.append(crumb)
                 break
     return [
-        replace(one, members=tuple(those)) for one, those in zip(joined, members, strict=True)
+        replace(one, members=tuple(those), put_together=one.put_together or len(those) > 1)
+        for one, those in zip(joined, members, strict=True)
     ]
 
 
@@ -195,9 +197,9 @@ class _Site:
         widest = max((bridge.length for bridge in bridges), default=0.0)
         if way[-1] not in self.partner:
             doubt = not row.closed and (widest > _WIDE * length or self._may_close(way))
-            return Joined(row, members, bridge, doubt)
+            return Joined(row, members, bridge, doubt, put_together=len(members) > 1)
         forced = any(bridge.turn > _DOUBTFUL and not bridge.touching for bridge in bridges)
-        return Joined(row, members, bridge, widest > _WIDE * length or forced)
+        return Joined(row, members, bridge, widest > _WIDE * length or forced, put_together=True)
 
     def _end_to_end(self, way: list[int]) -> tuple[Row, FloatArray]:
         """Rows one after the other, the ways of the bridges between them, and which are theirs."""

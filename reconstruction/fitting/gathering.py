@@ -7,13 +7,17 @@ bridge's way; on a long bridge there must be more than the strays of the slice e
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numba import njit
 
-from reconstruction.arrays import BoolArray, FloatArray, IntArray
+from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.fitting.closing import Joined
-from reconstruction.fitting.linking import Runs
+from reconstruction.fitting.crossing import ways_along
+from reconstruction.fitting.places import Places
+from reconstruction.fitting.scale import Order
+from reconstruction.fitting.thinning import Row
 
 _FAR = 4.0  # standard deviations: farther off, a place is no chain's
 _BENT = 0.1  # of a bridge's length: how far its way may be off
@@ -24,20 +28,16 @@ _SURPRISE = 3.0  # ... times what strays would be there: no strays
 
 
 def gather(
-    joined: list[Joined],
-    runs: Runs,
-    places: FloatArray,
-    counts: IntArray,
-    chain_of_run: IntArray,
-    loose: BoolArray,
-) -> IntArray:
-    """The chain of each run, loose ones on a chain's way included; else as it was."""
-    found = chain_of_run.copy()
+    joined: list[Joined], order: Order, places: Places, chain_of_run: IntArray
+) -> tuple[list[Joined], IntArray]:
+    """Give loose pieces to the chains; the chain of each run is the same or that which got it."""
+    found, runs, counts = chain_of_run.copy(), order.runs, places.counts
+    loose = (chain_of_run < 0) & ~order.heaps
     if not loose.any() or not joined:
-        return found
+        return joined, found
     free = np.flatnonzero(np.append(loose, False)[runs.run_of_place])
     ways = _Ways(joined)
-    way, away = _nearest(places[free], ways.start, ways.arm)
+    way, away = nearest_way(places.at[free], ways.start, ways.arm)
     near = away <= ways.tolerance[way]
     run, number = np.unique(runs.run_of_place[free], return_inverse=True)
     sizes, on = np.bincount(number), np.bincount(number, near)
@@ -48,13 +48,28 @@ def gather(
         for piece in range(len(run))
     ])  # fmt: skip
     points = np.bincount(number, counts[free])
-    stray = float(points[~candidate].sum()) / max(float(np.prod(np.ptp(places, axis=0))), 1e-300)
+    stray = float(points[~candidate].sum()) / max(float(np.prod(np.ptp(places.at, axis=0))), 1e-300)
     for bridge in np.unique(of[candidate]):
         pieces = candidate & (of == bridge)
         expected = _SURPRISE * stray * ways.tube[bridge]
         if ways.short[bridge] or points[pieces].sum() >= _COMPANY + expected:
             found[run[pieces]] = ways.chain[bridge]
-    return found
+    grown = np.unique(found[found != chain_of_run])
+    joined = [
+        replace(one, put_together=one.put_together or number in grown)
+        for number, one in enumerate(joined)
+    ]
+    return joined, found
+
+
+def nearest_row(places: FloatArray, rows: list[Row]) -> IntArray:
+    """Which row lies nearest to each place."""
+    if len(rows) < 2 or not len(places):
+        return np.zeros(len(places), np.int64)
+    ways = [ways_along(row.nodes, closed=row.closed) for row in rows]
+    whole = np.concatenate(ways)
+    nearest = nearest_way(places, whole[:, 0].copy(), whole[:, 1] - whole[:, 0])[0]
+    return np.repeat(np.arange(len(rows)), [len(each) for each in ways])[nearest]
 
 
 class _Ways:
@@ -80,7 +95,7 @@ class _Ways:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _nearest(
+def nearest_way(
     places: FloatArray, starts: FloatArray, arms: FloatArray
 ) -> tuple[IntArray, FloatArray]:
     """Nearest way of each place, and how far off it is."""
