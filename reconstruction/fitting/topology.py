@@ -29,7 +29,7 @@ from reconstruction.fitting.scale import Order, order
 from reconstruction.fitting.thinning import Row, thin_again
 
 _HEAP = 10  # points; fewer without an order are strays
-_STOUT = 6.0  # full bands: a run no longer than this is a heap
+_STOUT = 3.0  # full bands: a run no longer than this is a heap
 _LARGEST_MM = 1e100  # coordinates beyond are no lengths; their squares must stay finite
 
 STRAY = -1
