@@ -17,12 +17,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
+from reconstruction.fitting.crossing import crossings, ways_along
 from reconstruction.fitting.thinning import Row
 
 _TANGENT = 5.0  # reaches: the stretch of a run that tells the direction of its end
 _TOUCHING = 2.0  # reaches: so near, the way from end to end has no direction either
 _IN_LINE = 3.0  # standard deviations aside that ends which touch may be, and lie in line
 _AN_S = 3.5  # times its angle: what the turn of an S amounts to
+_TIP = math.radians(90.0)  # what the turn in a tip counts as
+_AHEAD_OF = math.cos(math.radians(30.0))  # a tip lies ahead of the other end, ...
+_ALIKE = math.cos(math.radians(45.0))  # ... which leads the same way, ...
+_BACK = 1.5  # ... and passes the tip's row not farther back than so many times their distance, ...
+_BESIDE = 7.5  # ... at most so many standard deviations beside it
 _STIFF = 1.0  # how much a turn of one radian adds to a bridge's cost, in its lengths
 _HOPELESS = math.radians(270.0)  # turn from which no gap explains two ends
 _PIECES = 12  # of a bridge's way
@@ -51,6 +57,7 @@ class Bridge:
     turn: float
     sigma: float  # of the end where the points scatter more
     near: float  # so near, ends touch: the way from one to the other has no direction
+    tip: bool  # back from a tip in which two runs were too near each other to be told apart
 
     @property
     def touching(self) -> bool:
@@ -69,7 +76,7 @@ def ends_of(rows: list[Row]) -> Ends:
     )
 
 
-def bridges_between(ends: Ends) -> list[Bridge]:
+def bridges_between(rows: list[Row], ends: Ends) -> list[Bridge]:
     """The cheapest few bridges of every end that are not hopeless, the cheapest first."""
     arms = ends.places[None] - ends.places[:, None]
     lengths = np.hypot(arms[..., 0], arms[..., 1])
@@ -81,16 +88,37 @@ def bridges_between(ends: Ends) -> list[Bridge]:
     beside = np.arcsin(np.clip(beside / np.maximum(lengths, 1e-300), 0.0, 1.0))
     abreast = np.maximum(np.abs(_angles(one, -other)), _AN_S * beside)
     turns = np.where(touching, abreast, turns_of(one, arms, other))
+    tips = _tips(rows, ends, arms, lengths)
+    turns[tips] = _TIP
     costs = np.where(turns <= _HOPELESS, lengths * (1.0 + _STIFF * turns**2), np.inf)
     np.fill_diagonal(costs, np.inf)
     dearest = np.sort(costs, axis=1)[:, :_CHOICE][:, -1:] if len(costs) else costs
     wanted = np.triu((costs <= dearest) | (costs <= dearest.T)) & np.isfinite(costs)
     found = [
         Bridge(int(ends.numbers[i]), int(ends.numbers[j]), float(costs[i, j]),
-               float(lengths[i, j]), float(turns[i, j]), float(sigma[i, j]), float(near[i, j]))
+               float(lengths[i, j]), float(turns[i, j]), float(sigma[i, j]), float(near[i, j]), bool(tips[i, j]))
         for i, j in np.argwhere(wanted)
     ]  # fmt: skip
     return sorted(found, key=lambda bridge: (bridge.cost, bridge.one, bridge.other))
+
+
+def _tips(rows: list[Row], ends: Ends, arms: FloatArray, lengths: FloatArray) -> BoolArray:
+    """Which pairs of ends are a tip and where the one run came too near the other for it. ::
+
+        ------- one __                    Both lead to the tip, and there is no room between
+        --------------`===== other        the rows at the end that lies behind.
+    """
+    ahead = (arms * ends.outward[:, None]).sum(axis=2) > _AHEAD_OF * lengths
+    alike = ends.outward @ ends.outward.T > _ALIKE
+    tips = np.zeros(lengths.shape, np.bool_)
+    for i, j in np.argwhere(ahead & alike & (lengths > 0.0)):
+        row = rows[ends.numbers[j] // 2]
+        nodes = row.nodes if ends.numbers[j] % 2 else row.nodes[::-1]
+        back = np.linalg.norm(np.diff(nodes, axis=0), axis=1)[::-1].cumsum()
+        tail = nodes[::-1][1:][back <= _BACK * lengths[i, j]]
+        beside = np.linalg.norm(tail - ends.places[i], axis=1).min(initial=np.inf)
+        tips[i, j] = tips[j, i] = beside <= _BESIDE * ends.sigma[i]
+    return tips
 
 
 def _offset(tangent: FloatArray, arm: FloatArray) -> FloatArray:
@@ -113,7 +141,7 @@ def way_of(ends: Ends, bridge: Bridge) -> FloatArray:
     """Hermite's cubic from end to end (k, 2), its tangents as long as the chord."""
     i, j = np.searchsorted(ends.numbers, [bridge.one, bridge.other])
     one, other = ends.places[i], ends.places[j]
-    if bridge.touching:
+    if bridge.touching or bridge.tip:
         return np.stack([one, other])
     t = np.linspace(0.0, 1.0, _PIECES + 1)[:, None]
     start = one + bridge.length / 3.0 * ends.outward[i]
@@ -172,23 +200,3 @@ def walls(rows: list[Row]) -> Walls:
                     else np.full(len(up), -1))  # fmt: skip
         back.append(np.minimum(up, down))
     return Walls(np.concatenate(ways), np.concatenate(ends), np.concatenate(back))
-
-
-def ways_along(nodes: FloatArray, *, closed: bool) -> FloatArray:
-    """From node to node: (m, 2) -> (m - 1 or m, 2, 2)."""
-    ring = np.vstack([nodes, nodes[:1]]) if closed else nodes
-    return np.stack([ring[:-1], ring[1:]], axis=1)
-
-
-def crossings(ways: FloatArray, others: FloatArray) -> BoolArray:
-    """Which ways cross which others; (k, 2, 2), (m, 2, 2) -> (k, m)."""
-    a, b = ways[:, None, 0], ways[:, None, 1]
-    c, d = others[None, :, 0], others[None, :, 1]
-    apart = (_side(a, b, c) * _side(a, b, d) < 0.0) & (_side(c, d, a) * _side(c, d, b) < 0.0)
-    return np.asarray(apart)
-
-
-def _side(p: FloatArray, q: FloatArray, r: FloatArray) -> FloatArray:
-    """Positive to the left of the way from p to q."""
-    arm = q - p
-    return arm[..., 0] * (r[..., 1] - p[..., 1]) - arm[..., 1] * (r[..., 0] - p[..., 0])

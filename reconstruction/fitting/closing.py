@@ -21,7 +21,7 @@ from reconstruction.fitting.bridging import (
 )
 from reconstruction.fitting.thinning import Row
 
-_CRUMB = 2.5  # reaches: shorter rows have no direction
+_CRUMB = 1.5  # reaches: shorter rows have no direction
 _STRAIGHT = math.radians(90.0)  # turn up to which a row is carried on beyond its own length
 _FACING = math.radians(158.0)  # turn up to which two ends face each other
 _DOUBTFUL = math.radians(158.0)  # turn from which a closed loop stays in doubt
@@ -30,6 +30,7 @@ _RIVAL = 2.0  # times a bridge's cost: another one is no better than that, or le
 _LEAST_LOOP = 6.0  # bridges: a row this long is a loop if its ends touch
 # A gap's share of its loop: from here on the points leave in doubt whether it is a loop, ...
 _WIDE = 0.10
+_SMALL = 0.03  # ... up to here a loop is likelier even if ...
 _LIKELY = 0.20  # ... up to here a loop is likelier even if the ends do not face each other, ...
 _OPEN = 0.36  # ... and from here on nothing speaks for one.
 
@@ -42,6 +43,7 @@ class Joined:
     members: tuple[int, ...]  # which rows
     bridge: FloatArray  # (m,), length of the bridge that the way after a node is of; 0: of none
     ambiguous: bool  # the points cannot tell whether it is closed
+    put_together: bool  # of several rows, or closed over a gap
 
 
 def join(rows: list[Row]) -> list[Joined]:
@@ -62,7 +64,10 @@ def join(rows: list[Row]) -> list[Joined]:
             if _passes(one.row, rows[crumb]):
                 those.append(crumb)
                 break
-    return [replace(one, members=tuple(those)) for one, those in zip(joined, members, strict=True)]
+    return [
+        replace(one, members=tuple(those), put_together=one.put_together or len(those) > 1)
+        for one, those in zip(joined, members, strict=True)
+    ]
 
 
 class _Site:
@@ -73,7 +78,7 @@ class _Site:
         self.ends = ends_of(rows)
         self.walls = walls(rows)
         self.partner: dict[int, Bridge] = {}
-        self.bridges = bridges_between(self.ends)
+        self.bridges = bridges_between(rows, self.ends)
         for bridge in self.bridges:
             if bridge.one not in self.partner and bridge.other not in self.partner:
                 self._build(bridge)
@@ -107,10 +112,9 @@ class _Site:
 
     def _free(self, bridge: Bridge) -> bool:
         """Whether a bridge crosses nothing."""
-        way = way_of(self.ends, bridge)
-        return not self.walls.crossed_by(
-            way, (bridge.one, bridge.other), self._near(bridge.one, bridge.other)
-        )
+        way, ends = way_of(self.ends, bridge), (bridge.one, bridge.other)
+        near = 2.0 * bridge.length if bridge.tip else self._near(*ends)
+        return not self.walls.crossed_by(way, ends, near)
 
     def _near(self, *ends: int) -> float:
         """So near their ends rows may be crossed: there nobody knows where they run."""
@@ -157,6 +161,7 @@ class _Site:
             return True
         share = bridge.length / max(length + bridge.length, 1e-300)
         unseen = bridge.length > _UNSEEN * bridge.sigma and share <= _LIKELY
+        unseen |= share <= _SMALL
         return (bridge.turn <= _FACING or unseen) and share <= _OPEN
 
     def _may_close(self, way: list[int]) -> bool:
@@ -171,10 +176,12 @@ class _Site:
     def _may_turn(self, way: list[int]) -> bool:
         """Whether the gap between ends that face away has room for a turn that nobody saw."""
         i, j = np.searchsorted(self.ends.numbers, [way[0], way[-1]])
-        gap = math.hypot(*(self.ends.places[i] - self.ends.places[j]))
+        arm = self.ends.places[j] - self.ends.places[i]
+        gap = math.hypot(*arm)
         length = sum(self.rows[end // 2].length for end in way[::2]) + gap
         sigma = float(max(self.ends.sigma[i], self.ends.sigma[j]))
-        room = gap > _UNSEEN * sigma or gap > _WIDE * length
+        away = self.ends.outward[i] @ arm < 0.0 < self.ends.outward[j] @ arm
+        room = gap > _WIDE * length or (gap > _UNSEEN * sigma and not away)
         straight = self.ends.places[[i, j]]
         ends = way[0], way[-1]
         barred = self.walls.crossed_by(straight, ends, self._near(*ends))
@@ -188,9 +195,9 @@ class _Site:
         widest = max((bridge.length for bridge in bridges), default=0.0)
         if way[-1] not in self.partner:
             doubt = not row.closed and (widest > _WIDE * length or self._may_close(way))
-            return Joined(row, members, bridge, doubt)
+            return Joined(row, members, bridge, doubt, put_together=len(members) > 1)
         forced = any(bridge.turn > _DOUBTFUL and not bridge.touching for bridge in bridges)
-        return Joined(row, members, bridge, widest > _WIDE * length or forced)
+        return Joined(row, members, bridge, widest > _WIDE * length or forced, put_together=True)
 
     def _end_to_end(self, way: list[int]) -> tuple[Row, FloatArray]:
         """Rows one after the other, the ways of the bridges between them, and which are theirs."""

@@ -49,6 +49,7 @@ _BAND = 1.7  # slenderness from which they lie in a band
 _HEAPED = 0.4  # share of the points in heaps from which they are a band wider than can be seen
 _LEAST_HEAP = 10  # places
 _WIDE_HEAP = 2.5  # times as far as bands, heaps scatter across, ...
+_FULL = 0.5  # ... of the places that a heap has in its middle, ...
 _COMPACT = 3.0  # ... and not so many times as far along
 _ROUND = 2.0  # ... a slenderness on the average no more than this: a cloud of strays
 _SLENDER = 0.02  # A run with no more than this share of the points ...
@@ -206,18 +207,22 @@ def _heaped(places: Places, neighbours: IntArray, scatter: FloatArray) -> BoolAr
     label = np.where(round_, connected_components(graph, directed=False)[1], -1)
     for number in np.unique(label[round_]):
         mine = label == number
-        if mine.sum() >= _LEAST_HEAP and _is_heap(places.at, mine, wide):
+        if mine.sum() >= _LEAST_HEAP and _is_heap(places, mine, wide):
             heaped |= mine
     return heaped
 
 
-def _is_heap(at: FloatArray, mine: BoolArray, wide: float) -> bool:
-    """Whether some places are wider than the band, not much longer, and not of a wider band."""
-    middle = at[mine].mean(axis=0)
+def _is_heap(places: Places, mine: BoolArray, wide: float) -> bool:
+    """Whether places are wider than the band, full, not much longer, and not of a wider band."""
+    at, middle = places.at, places.at[mine].mean(axis=0)
     shorter, longer = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(at[mine].T)), 0.0))
     if shorter < wide or longer > _COMPACT * shorter:
         return False
     apart = np.linalg.norm(at - middle, axis=1)
+    # Four neighbours lie within a spacing.
+    full = 4.0 * (shorter / max(float(np.median(places.spacing[mine])), 1e-300)) ** 2
+    if (apart < shorter).sum() < _FULL * full:
+        return False
     beside = at[(apart > 2.0 * longer) & (apart < 5.0 * longer) & ~mine]
     if len(beside) < _LEAST_HEAP:
         return True
