@@ -226,11 +226,8 @@ def _is_heap(places: Places, mine: BoolArray, wide: float) -> bool:
     beside = at[(apart > 2.0 * longer) & (apart < 5.0 * longer) & ~mine]
     if len(beside) < _LEAST_HEAP:
         return True
-    found = frames(
-        beside,
-        np.asarray(cKDTree(beside).query(beside, k=min(_HOODS[-1], len(beside)))[1]),
-        np.array(_HOODS),
-    )
+    found = frames(beside, np.asarray(cKDTree(beside).query(beside, k=min(_HOODS[-1], len(beside)))[1]),
+                   np.array(_HOODS))
     return float(np.median(found[:, 2])) < shorter / _WIDE_HEAP
 
 
@@ -313,9 +310,7 @@ def _breaks(places: Places, runs: Runs, reach: FloatArray, ordered: BoolArray) -
     at, far = places.at[first | last], reach[first | last]
     x, y, sight = (np.bincount(number, values) / held for values in (*at.T, far))
     ends = np.stack([x, y], axis=1)
-    near = (
-        np.asarray(cKDTree(ends).query(ends, k=2)[0])[:, 1] if len(ends) > 1 else np.full(1, np.inf)
-    )
+    near = np.asarray(cKDTree(ends).query(ends, k=2)[0])[:, 1] if len(ends) > 1 else np.full(1, np.inf)
     return tiny + int((near <= _NEAR * sight).sum()) // 2
 
 
