@@ -127,8 +127,10 @@ def _aligned(branch: Branch) -> tuple[Branch, Stations, list[Moments]]:
     while True:
         count = max(_STATIONS_A_SPAN * _spans_around(branch), _LEAST_STATIONS)
         stations = align(branch.outlines, count, cyclic=branch.cyclic)
+        if len(branch.outlines) <= _FEWEST:
+            return branch, stations, wild
         worst = _standing_out(stations, cyclic=branch.cyclic)
-        if worst is None or len(branch.outlines) <= _FEWEST:
+        if worst is None:
             return branch, stations, wild
         wild.append(branch.outlines[worst].moments)
         kept = branch.outlines[:worst] + branch.outlines[worst + 1 :]

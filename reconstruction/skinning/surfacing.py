@@ -15,6 +15,7 @@ from reconstruction.meshing import Mesh
 from reconstruction.skinning.branching import Branching, find_branches
 from reconstruction.skinning.closing import closed_mesh
 from reconstruction.skinning.drawing import SliceOutlines
+from reconstruction.skinning.folding import fold
 from reconstruction.skinning.joining import join_solids
 from reconstruction.skinning.outlines import Moments, Outline, lifted
 from reconstruction.skinning.skin import Skin, skin_branch
@@ -49,7 +50,7 @@ def skin_slices(slices: Sequence[SliceOutlines], *, tolerance_mm: float | None =
     outlines = [[each for each in piece.outlines if id(each) not in thick] for piece in stack]
     branching = find_branches(outlines, heights)
     loose = _loose(stack, branching, thick.values())
-    skins = tuple(skin_branch(branch, loose) for branch in branching.branches)
+    skins = tuple(skin_branch(branch, loose) for branch in fold(branching.branches))
     within = tolerance_mm or _chord(skins)
     parts = [closed_mesh(skin, within) for skin in skins]
     holes = [skin.branch.hole for skin in skins]

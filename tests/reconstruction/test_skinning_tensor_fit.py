@@ -172,8 +172,10 @@ def test_an_outline_that_stands_out_is_left_out_and_its_points_are_used_where_th
     assert np.sqrt((off**2).mean()) < 0.03
 
 
-def torus_slices(*, count: int = 600, sigma_mm: float = 0.15) -> list[SliceOutlines]:
-    """A torus of radii 40 and 12, lying flat: loops with a hole in each slice, nothing beyond."""
+def torus_slices(
+    *, count: int = 600, sigma_mm: float = 0.15, beyond_mm: tuple[float, ...] = ()
+) -> list[SliceOutlines]:
+    """A torus of radii 40 and 12, lying flat: a loop with a hole in each slice, nothing beyond."""
     rng = np.random.default_rng(11)
     slices = []
     for height in -12.0 + 24.0 / 30 * (np.arange(30) + 0.5):
@@ -188,14 +190,19 @@ def torus_slices(*, count: int = 600, sigma_mm: float = 0.15) -> list[SliceOutli
                 seed=int(1e6 + 1e3 * height),
             )[0]
         )
-    beyond = [Frame(np.array([0.0, 0.0, height]), np.eye(3)) for height in (-12.4, 12.4)]
+    beyond = [Frame(np.array([0.0, 0.0, height]), np.eye(3)) for height in beyond_mm]
     slices += [Slice(0, np.empty((0, 3)), frame) for frame in beyond]
     return drawn([Slice(k, each.points_mm, each.frame) for k, each in enumerate(slices)])
 
 
-def test_a_torus_is_one_surface_that_closes_both_ways_in_any_order_of_slices() -> None:
-    pieces = torus_slices()
-    found = skin_slices([pieces[k] for k in np.random.default_rng(12).permutation(32)])
+@pytest.mark.parametrize("beyond_mm", [(), (-12.4, 12.4)])
+def test_a_torus_is_one_surface_that_closes_both_ways_in_any_order_of_slices(
+    beyond_mm: tuple[float, ...],
+) -> None:
+    """Whether slices beyond it saw nothing, or none was taken there."""
+    pieces = torus_slices(beyond_mm=beyond_mm)
+    order = np.random.default_rng(12).permutation(len(pieces))
+    found = skin_slices([pieces[k] for k in order])
     (skin,) = found.skins
     assert skin.branch.cyclic
     solid = trimesh.Trimesh(found.mesh.vertices_mm, found.mesh.faces, process=False)
@@ -205,6 +212,23 @@ def test_a_torus_is_one_surface_that_closes_both_ways_in_any_order_of_slices() -
     off = np.hypot(np.hypot(places[:, 0], places[:, 1]) - 40.0, places[:, 2]) - 12.0
     assert np.sqrt((off**2).mean()) < 0.06
     assert solid.volume == pytest.approx(2 * math.pi**2 * 40.0 * 144.0, rel=0.005)
+
+
+def test_a_tube_with_a_bore_that_does_not_narrow_is_closed_by_level_rings() -> None:
+    slices = []
+    for index, height in enumerate(np.arange(12) * 2.0):
+        outer, inner = (
+            ring_slices([float(height)], lambda turn, z, r=r: np.full_like(turn, r), count=900,
+                        sigma_mm=0.1, seed=10 * index + int(r))[0].points_mm
+            for r in (30.0, 20.0)
+        )  # fmt: skip
+        frame = Frame(np.array([0.0, 0.0, height]), np.eye(3))
+        slices.append(Slice(index, np.vstack([outer, inner]), frame))
+    found = skin_slices(drawn(slices))
+    solid = trimesh.Trimesh(found.mesh.vertices_mm, found.mesh.faces, process=False)
+    assert solid.is_watertight
+    assert solid.euler_number == 0
+    assert solid.volume == pytest.approx(math.pi * (900 - 400) * 24.0, rel=0.01)
 
 
 def test_a_branch_of_few_outlines_still_has_a_surface() -> None:
