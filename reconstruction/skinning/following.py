@@ -107,8 +107,11 @@ class Followed:
         return [q for p, q in self._partner(level, level + 1).items() if p == number]
 
     def _is_bridged(self, stops: list[int], at: int) -> bool:
-        """Whether neither side would have vanished half-way from one stop to the next."""
+        """Whether there are points on the way to the next stop, or else no side would vanish."""
         p, q = stops[at], stops[at + 1]
+        between = slice(self._loops.levels[p] + 1, self._loops.levels[q])
+        if self._loops.stack.unresolved[between].all():
+            return True
         middle = 0.5 * float(self._loops.heights_mm[p] + self._loops.heights_mm[q])
         from_below = at == 0 or self._area_left(p, stops[at - 1], middle)
         return from_below and (at + 2 == len(stops) or self._area_left(q, stops[at + 2], middle))

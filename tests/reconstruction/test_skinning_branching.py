@@ -624,12 +624,20 @@ def test_the_way_chosen_is_the_cheapest_of_all(seed: int) -> None:
 # -- real scans ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["UHU.pcd", "cup.pcd", "bigCub.pts"])
+@pytest.mark.parametrize(
+    ("name", "unit", "axis"),
+    [
+        ("UHU.pcd", Unit.CM, Axis.Y),
+        ("cup.pcd", Unit.CM, Axis.Y),
+        ("bigCub.pts", Unit.CM, Axis.Y),
+        ("fabscanpi_duck.ply", Unit.MM, Axis.Z),
+    ],
+)
 def test_real_scans_are_followed_past_slices_without_a_contour(
-    shared_data: Path, name: str
+    shared_data: Path, name: str, unit: Unit, axis: Axis
 ) -> None:
-    with open_input(shared_data / "scans" / name, Unit.CM) as given:
-        pieces = [draw_outlines(each) for each in cut_cloud(given.chunks, Axis.Y).slices()]
+    with open_input(shared_data / "scans" / name, unit) as given:
+        pieces = [draw_outlines(each) for each in cut_cloud(given.chunks, axis).slices()]
     heights = [each.height_mm for each in pieces]
     found = find_branches(
         [each.outlines for each in pieces],
