@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from reconstruction.skinning.loops import Loops
+from reconstruction.skinning.overlaps import likeness_to
 from reconstruction.skinning.slabs import Event, events_between
 
 
@@ -36,17 +37,32 @@ class Followed:
         return tuple(kept)
 
     def accord(self, event: Event, lower: int, upper: int) -> tuple[int, ...]:
-        """Loops of the slices between that lie on the way of a contour that goes on."""
+        """Loops of the slices between that lie on the way of a contour that goes on.
+
+        One that lies rather where a hole is, below and above, is a hole that has lost its outline.
+        """
         if len(event.below) != 1 or len(event.above) != 1:
             return ()
         (here,), (goal,) = event.below, event.above
         way, level = [], lower
         for each in range(lower + 1, upper):
             found = self._partner(level, each).get(here)
-            if found is not None and self._partner(each, upper).get(found) == goal:
-                way.append(found)
-                here, level = found, each
+            if found is None or self._partner(each, upper).get(found) != goal:
+                continue
+            if self._is_another(found, here, level) and self._is_another(found, goal, upper):
+                continue
+            way.append(found)
+            here, level = found, each
         return tuple(way)
+
+    def _is_another(self, number: int, partner: int, level: int) -> bool:
+        """Whether a loop looks less like its partner than like one of the other kind there."""
+        numbers = self._loops.at(level)
+        others = numbers[self._loops.holes[numbers] != self._loops.holes[partner]]
+        if not len(others):
+            return False
+        alike = likeness_to(self._loops, number, np.append(partner, others))
+        return bool(alike[1:].max() > alike[0])
 
     def seen(self, lower: int, upper: int) -> tuple[Event, ...]:
         """Events, without a look at what lies between."""
@@ -91,8 +107,11 @@ class Followed:
         return [q for p, q in self._partner(level, level + 1).items() if p == number]
 
     def _is_bridged(self, stops: list[int], at: int) -> bool:
-        """Whether neither side would have vanished half-way from one stop to the next."""
+        """Whether there are points on the way to the next stop, or else no side would vanish."""
         p, q = stops[at], stops[at + 1]
+        between = slice(self._loops.levels[p] + 1, self._loops.levels[q])
+        if self._loops.stack.unresolved[between].all():
+            return True
         middle = 0.5 * float(self._loops.heights_mm[p] + self._loops.heights_mm[q])
         from_below = at == 0 or self._area_left(p, stops[at - 1], middle)
         return from_below and (at + 2 == len(stops) or self._area_left(q, stops[at + 2], middle))

@@ -57,6 +57,15 @@ def measure_overlaps(loops: Loops, lower: IntArray, upper: IntArray) -> Overlaps
     return Overlaps(direct, _share(areas[_AGREED], smaller), _share(areas[_COMMON], united))
 
 
+def likeness_to(loops: Loops, one: int, others: IntArray) -> FloatArray:
+    """Area common to a loop and each of others (k,), over united area; be they holes or not."""
+    corners = loops.corners_mm[np.append(one, others)]
+    nothing = np.zeros(len(corners), dtype=np.int64)
+    shared, enclosed, _ = _sweep(corners, nothing, nothing > 0, 1)
+    common = shared[_COMMON, 0, 1 : len(corners)]
+    return _share(common, enclosed[0] + enclosed[1:] - common)
+
+
 def _share(part: FloatArray, whole: FloatArray) -> FloatArray:
     return part / np.maximum(whole, 1e-300)
 

@@ -282,6 +282,15 @@ def test_a_ring_that_one_slice_misses_altogether_is_bridged() -> None:
     assert len(find_branches(slices, heights).branches) == 2  # outside and inside
 
 
+def test_a_hole_that_has_lost_its_outline_in_one_slice_is_not_taken_for_one() -> None:
+    heights = np.arange(9.0)
+    slices = [rings(20 + 0.01 * k, 15, index=k, height=h) for k, h in enumerate(heights)]
+    slices[4] = [outline(ring(15.02), 4.0, index=4)]
+    found = find_branches(slices, heights)
+    assert [len(each.outlines) for each in found.branches] == [8, 8]
+    assert found.suspects == (4,)
+
+
 def test_two_balls_one_above_the_other_with_a_slice_between_stay_two() -> None:
     solid = union(ball(10, (0, 0, -10.9)), ball(10, (0, 0, 10.9)))
     slices = cut(solid, HEIGHTS)
@@ -615,12 +624,20 @@ def test_the_way_chosen_is_the_cheapest_of_all(seed: int) -> None:
 # -- real scans ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["UHU.pcd", "cup.pcd", "bigCub.pts"])
+@pytest.mark.parametrize(
+    ("name", "unit", "axis"),
+    [
+        ("UHU.pcd", Unit.CM, Axis.Y),
+        ("cup.pcd", Unit.CM, Axis.Y),
+        ("bigCub.pts", Unit.CM, Axis.Y),
+        ("fabscanpi_duck.ply", Unit.MM, Axis.Z),
+    ],
+)
 def test_real_scans_are_followed_past_slices_without_a_contour(
-    shared_data: Path, name: str
+    shared_data: Path, name: str, unit: Unit, axis: Axis
 ) -> None:
-    with open_input(shared_data / "scans" / name, Unit.CM) as given:
-        pieces = [draw_outlines(each) for each in cut_cloud(given.chunks, Axis.Y).slices()]
+    with open_input(shared_data / "scans" / name, unit) as given:
+        pieces = [draw_outlines(each) for each in cut_cloud(given.chunks, axis).slices()]
     heights = [each.height_mm for each in pieces]
     found = find_branches(
         [each.outlines for each in pieces],
