@@ -18,8 +18,10 @@ from reconstruction.arrays import BoolArray, FloatArray, IntArray
 from reconstruction.caps import triangulate_polygon
 from reconstruction.meshing import Mesh
 from reconstruction.nurbs import evaluate_surface
+from reconstruction.skinning.branching import is_ring_ended
 from reconstruction.skinning.ends import Apex
 from reconstruction.skinning.net import Net
+from reconstruction.skinning.ring_caps import triangulate_ring
 from reconstruction.skinning.skin import Skin
 
 _MOST_A_SPAN = 16
@@ -75,8 +77,10 @@ def closed_mesh(skin: Skin, tolerance_mm: float) -> Mesh:
     marks = skin.synthetic(*np.meshgrid(lines.u, lines.v, indexing="ij")).T
     numbers, vertices, synthetic = _numbered(rings, marks, net.apex)
     faces = [_band(numbers[k], numbers[k + 1]) for k in range(len(numbers) - 1)]
-    if net.closed_v or skin.ring_ended:
+    if net.closed_v:
         faces.append(_band(numbers[-1], numbers[0]))
+    elif is_ring_ended(skin.branch):
+        faces.append(_ring(rings, numbers, skin.branch.outlines[0].frame.axes[:2]))
     else:
         assert skin.brims is not None, "an open surface has brims"
         axes = skin.branch.outlines[0].frame.axes[:2]
@@ -112,6 +116,24 @@ def _numbered(
             synthetic.append(marks[k])
             count += len(ring)
     return numbers, np.concatenate(vertices), np.concatenate(synthetic)
+
+
+def _ring(rings: FloatArray, numbers: list[IntArray], axes: FloatArray) -> IntArray:
+    """The level ring between the first and the last row of a surface that turned over."""
+    flat = [rings[k] @ axes.T for k in (0, -1)]
+    ends = [numbers[0], numbers[-1]]
+    if _area(flat[0]) < _area(flat[1]):
+        flat, ends = flat[::-1], ends[::-1]
+    found = np.concatenate(ends)[triangulate_ring(flat[0], flat[1])]
+    # The band leaves the last row's edges backwards, so the ring takes them forwards.
+    edges = np.concatenate([found[:, [0, 1]], found[:, [1, 2]], found[:, [2, 0]]])
+    forwards = (edges == numbers[-1][:2]).all(axis=1).any()
+    return np.asarray(found if forwards else found[:, ::-1])
+
+
+def _area(flat: FloatArray) -> float:
+    x, y = flat.T
+    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
 
 
 def _band(lower: IntArray, upper: IntArray) -> IntArray:

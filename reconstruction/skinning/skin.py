@@ -47,20 +47,6 @@ class Skin:
     moments: Moments
     fit: TensorFit
 
-    @property
-    def ring_ended(self) -> bool:
-        """Whether it turned over and ends, in one plane, in a loop and the hole in it."""
-        if self.brims is None:
-            return False
-        low, high = self.brims
-        outlines = self.branch.outlines
-        return (
-            outlines[0].hole != outlines[-1].hole
-            and isinstance(low, Brim)
-            and isinstance(high, Brim)
-            and low.height_mm == high.height_mm
-        )
-
     def deviation_mm(self, u: FloatArray, v: FloatArray) -> FloatArray:
         """Posterior standard deviation across the surface at (m,), (m,)."""
         net = self.fit.net

@@ -48,7 +48,11 @@ def skin_slices(slices: Sequence[SliceOutlines], *, tolerance_mm: float | None =
     heights = np.array([each.height_mm for each in stack])
     thick = _thick(stack)
     outlines = [[each for each in piece.outlines if id(each) not in thick] for piece in stack]
-    branching = find_branches(outlines, heights)
+    unresolved = [
+        each.unresolved or any(id(outline) in thick for outline in each.outlines) for each in stack
+    ]
+    indices = [each.index for each in stack]
+    branching = find_branches(outlines, heights, indices=indices, unresolved=unresolved)
     loose = _loose(stack, branching, thick.values())
     skins = tuple(skin_branch(branch, loose) for branch in fold(branching.branches))
     within = tolerance_mm or _chord(skins)

@@ -214,6 +214,19 @@ def test_a_torus_is_one_surface_that_closes_both_ways_in_any_order_of_slices(
     assert solid.volume == pytest.approx(2 * math.pi**2 * 40.0 * 144.0, rel=0.005)
 
 
+def test_a_ring_that_is_cut_off_half_way_turns_over_once_and_is_closed_by_a_level_ring() -> None:
+    pieces = [each for each in torus_slices() if each.height_mm > 0.0]
+    found = skin_slices(pieces)
+    (skin,) = found.skins
+    assert not skin.branch.cyclic
+    solid = trimesh.Trimesh(found.mesh.vertices_mm, found.mesh.faces, process=False)
+    assert solid.is_watertight
+    assert solid.is_winding_consistent
+    assert solid.euler_number == 0
+    # From z = 0 on, half a slice below the first one, that is half of it.
+    assert solid.volume == pytest.approx(math.pi**2 * 40.0 * 144.0, rel=0.01)
+
+
 def test_a_tube_with_a_bore_that_does_not_narrow_is_closed_by_level_rings() -> None:
     slices = []
     for index, height in enumerate(np.arange(12) * 2.0):
