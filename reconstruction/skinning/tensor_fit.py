@@ -41,6 +41,7 @@ from reconstruction.skinning.outlines import Moments
 from reconstruction.skinning.stiffness import Lattice
 
 _ROUNDS = 25
+_ASTRAY = 4.0  # times the first round's scatter: the fit has lost its points
 _AT_REST = 0.15  # of a logarithm
 _RELAID = (2, 5)  # rounds after which v is made to run evenly again
 _LEAST_POINTS = 12.0
@@ -116,12 +117,16 @@ def fit_net(
     start = np.full(lattice.count, usual)
     state = _State(net, net.control_mm, u, v, noise, (start, start), (0.0 * start, 0.0 * start))
     fit: TensorFit | None = None
+    first: TensorFit | None = None
     for turn in range(_ROUNDS):
         with threadpool_limits(1, "blas"):  # blocks are small: threads would only wait
             found = _round(state, moments, lattice, rims, turn)
         if found is None:
             break
         fit, state, moved = found
+        first = first or fit
+        if fit.noise.level_mm2 > _ASTRAY * first.noise.level_mm2:
+            return first
         if turn in _RELAID:
             again, v = relaid(state.net, state.v)
             state = replace(state, net=again, start_mm=again.control_mm, v=v)
