@@ -66,10 +66,10 @@ def test_what_compiled_code_makes_of_a_key_is_the_operators_stop(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     def kernel() -> None:
-        # The words and the cause are CPython's, of a C function that returns with an exception set.
-        raise SystemError("CPUDispatcher returned a result with an exception set") from (
-            KeyboardInterrupt()
-        )
+        # As CPython tells of C functions that return with an exception set, numba's two here.
+        inner = SystemError("_numba_unpickle returned a result with an exception set")
+        inner.__cause__ = KeyboardInterrupt()
+        raise SystemError("CPUDispatcher returned a result with an exception set") from inner
 
     with pytest.raises(typer.Exit) as left:
         run(kernel, debug=False)
