@@ -35,11 +35,14 @@ TABLES = {
 def main() -> None:
     """Print the tables asked for, or all."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("tables", nargs="*", choices=[*TABLES, []], default=list(TABLES))
+    parser.add_argument("tables", nargs="*", help=f"some of {' '.join(TABLES)}; by default all")
     parser.add_argument("--seeds", type=int, help="instead of each table's own number")
     asked = parser.parse_args()
+    unknown = [name for name in asked.tables if name not in TABLES]
+    if unknown:
+        parser.error(f"no table {', '.join(unknown)}; there are {', '.join(TABLES)}")
     shapes = outlines()
-    for name in asked.tables:
+    for name in asked.tables or TABLES:
         for line in TABLES[name](shapes, asked.seeds):
             print(line, flush=True)
         print()

@@ -141,6 +141,8 @@ def _shape(curve: dict[str, Any]) -> str:
     if curve["ambiguous"]:
         ends = f"ambiguous, read as {ends}"
     words = f"{curve['kind']}, {ends}{', a hole' if curve['hole'] else ''}"
+    if curve["crosses_itself"]:
+        words += ", crosses itself"
     if "radius_mm" in curve:
         words += f", radius {curve['radius_mm']:.5g} mm"
     if "half_axes_mm" in curve:

@@ -40,7 +40,9 @@ _NEARLY = 0.2  # standard deviations: still enough to look at noise and knots
 _FEW = 12  # points too few to tell one of them an outlier
 _EXACT = 1e-7  # of the length: scatter below it is none
 _PASSES = 6
-_RETRIES = 4  # of a fit that winds
+_RETRIES = 4  # of a fit that winds ...
+_LOSS = 0.02  # ... as long as they lose no more of the points ...
+_OFF = 2.5  # ... and these stay within so many of the chain's standard deviations
 
 
 def fit_chain(
@@ -96,6 +98,14 @@ def free_fit(
     sigma = max(_first_sigma(chain, cells, even), _EXACT * chain.length_mm)
     noise = Noise(sigma**2, relative)
     fit = _settled(cells, control, t, noise, closed=chain.closed)
+    fit = _unwound(fit, cells, control, t, noise, chain)
+    return doubting(fit, cells), cells, far
+
+
+def _unwound(
+    fit: Fit, cells: ArcCells, control: FloatArray, t: FloatArray, noise: Noise, chain: Chain
+) -> Fit:
+    """The fit, or one with doubt where it winds about its chain; see `straying`."""
     wound = windings(fit, chain)
     for _ in range(_RETRIES):
         if not wound.max() > WINDING:
@@ -104,10 +114,18 @@ def free_fit(
         stiff = stiff_start(cells, control, noise, closed=chain.closed)
         again = _settled(cells, control, t, noise, closed=chain.closed, log_stiffness=stiff)
         less = windings(again, chain)
-        if not less.max() < wound.max():
-            break  # the chain itself may be wrong there: more doubt would only lose its points
+        # The chain itself may be wrong there: then more doubt would only lose its points.
+        if not less.max() < wound.max() or _loses(again, fit, cells, chain):
+            break
         fit, wound = again, less
-    return doubting(fit, cells), cells, far
+    return fit
+
+
+def _loses(fit: Fit, before: Fit, cells: ArcCells, chain: Chain) -> bool:
+    """Whether a fit has let go of points, or lies farther off than the chain knows of."""
+    lost = float(cells.counts @ (before.weights - fit.weights))
+    usual = float(np.sqrt(np.mean(chain.sigma_mm**2)))
+    return lost > _LOSS * cells.total or fit.noise.variance_mm2 > (_OFF * usual) ** 2
 
 
 def _settled(

@@ -12,6 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from numba.core.caching import FunctionCache
+from numba.core.registry import CPUDispatcher
 
 from loftscan.inputs import Unit, open_input
 from reconstruction.arrays import FloatArray
@@ -292,6 +294,18 @@ def test_every_slice_of_a_real_scan_goes_through(shared_data: Path) -> None:
         found = resolve_section(piece.frame.to_plane(piece.points_mm)[:, :2])
         assert found.curves
         assert not found.failures
+
+
+def test_every_kernel_of_the_fit_is_kept_on_disk_for_the_next_process() -> None:
+    kernels = {
+        f"{module.__name__}.{name}": value
+        for module in [sys.modules[name] for name in sys.modules if ".fitting." in name]
+        for name, value in vars(module).items()
+        if isinstance(value, CPUDispatcher)
+    }
+    assert len(kernels) > 30
+    for name, kernel in kernels.items():
+        assert isinstance(kernel._cache, FunctionCache), name
 
 
 _LARGE = """
