@@ -92,7 +92,7 @@ def bridges_between(rows: list[Row], ends: Ends) -> list[Bridge]:
     turns[tips] = _TIP
     costs = np.where(turns <= _HOPELESS, lengths * (1.0 + _STIFF * turns**2), np.inf)
     np.fill_diagonal(costs, np.inf)
-    dearest = np.sort(costs, axis=1)[:, : _CHOICE][:, -1:] if len(costs) else costs
+    dearest = np.sort(costs, axis=1)[:, :_CHOICE][:, -1:] if len(costs) else costs
     wanted = np.triu((costs <= dearest) | (costs <= dearest.T)) & np.isfinite(costs)
     found = [
         Bridge(int(ends.numbers[i]), int(ends.numbers[j]), float(costs[i, j]),
@@ -105,8 +105,8 @@ def bridges_between(rows: list[Row], ends: Ends) -> list[Bridge]:
 def _tips(rows: list[Row], ends: Ends, arms: FloatArray, lengths: FloatArray) -> BoolArray:
     """Which pairs of ends are a tip and where the one run came too near the other for it. ::
 
-        ------- one __                    Both lead to the tip, and there is no room between
-        --------------`===== other        the rows at the end that lies behind.
+    ------- one __                    Both lead to the tip, and there is no room between
+    --------------`===== other        the rows at the end that lies behind.
     """
     ahead = (arms * ends.outward[:, None]).sum(axis=2) > _AHEAD_OF * lengths
     alike = ends.outward @ ends.outward.T > _ALIKE

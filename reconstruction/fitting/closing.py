@@ -166,9 +166,7 @@ class _Site:
 
     def _may_close(self, way: list[int]) -> bool:
         """Whether an open chain might be a loop all the same."""
-        bridge = next(
-            (b for b in self.bridges if {b.one, b.other} == {way[0], way[-1]}), None
-        )
+        bridge = next((b for b in self.bridges if {b.one, b.other} == {way[0], way[-1]}), None)
         if bridge is None:
             return self._may_turn(way)
         length = sum(self.rows[end // 2].length for end in way[::2])

@@ -37,7 +37,6 @@ _UNSTEADY = 4.0  # times the usual deviation: more is a bad fit
 _STEADY = 15  # nodes over whose spreads the median is taken
 
 
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Row:
     """Nodes in order."""
@@ -242,7 +241,9 @@ def _holes(along: FloatArray, thick: FloatArray, period: float) -> tuple[IntArra
     most = min(_BESIDE, (len(ways) - 1) // 2)
     beside = np.concatenate([np.arange(-most, 0), np.arange(1, most + 1)])
     around = np.sort(ways[(holes[:, None] + beside) % len(ways)], axis=1)
-    usual = np.minimum(_SILENT * around[:, -2], _SILENCE * around[:, -1 - most // 2]) if most else 0.0
+    usual = (
+        np.minimum(_SILENT * around[:, -2], _SILENCE * around[:, -1 - most // 2]) if most else 0.0
+    )
     gaps = ways[holes] > usual
     kept = gaps | (ways[holes] > _HOLE)
     return holes[kept], gaps[kept]
