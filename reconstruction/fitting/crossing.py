@@ -100,7 +100,7 @@ def _of_nodes(row: Row, kept: BoolArray, *, closed: bool) -> Row:
 
 
 def ways_along(nodes: FloatArray, *, closed: bool) -> FloatArray:
-    """From node to node: (m, 2) -> (m - 1 or m, 2, 2)."""
+    """Ways from node to node; (m, 2) -> (m - 1 or m, 2, 2)."""
     ring = np.vstack([nodes, nodes[:1]]) if closed else nodes
     return np.stack([ring[:-1], ring[1:]], axis=1)
 

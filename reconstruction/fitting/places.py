@@ -15,14 +15,14 @@ from scipy.spatial import cKDTree
 
 from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.errors import TooFewPoints
-from reconstruction.fitting.frames import frames
 from reconstruction.fitting.cells import Heaps, Int32Array, heap_up
+from reconstruction.fitting.frames import frames
 
 _SINGLY = 3000  # points up to which each is a place of its own
 _SAMPLE = 5000  # points that tell the middle and the thickness of a band
 _PROBES = 128  # of them, at which the thickness is looked for ...
 _PROBED = np.array([8, 12, 18, 27, 40, 60, 90, 128])  # ... among so many neighbours
-_NARROW = 2.0  # cells to a thickness
+_NARROW = 1.6  # cells to a thickness
 _MOST_PLACES = 10_000
 _LEAST_PLACES = 4
 _KNOWN = 27  # neighbours of each place, itself included, that are known

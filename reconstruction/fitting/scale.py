@@ -2,8 +2,8 @@
 
 Too small a reach breaks a band to pieces and finds holes in it, too large a one joins what is
 apart. Nobody need give it: from small to large, the first that leaves next to no flaws is taken;
-failing that, the one with the fewest. A flaw is a spur, a hole or a junction, an end so near another
-that the band must go on there, and a point that is lost, or far from the row of its run.
+failing that, the one with the fewest. A flaw is a spur, a hole or a junction, an end so near
+another that the band must go on there, and a point that is lost, or far from the row of its run.
 """
 
 from __future__ import annotations
@@ -173,7 +173,12 @@ def _rows(
 ) -> tuple[tuple[Row | None, ...], FloatArray]:
     """Thin each run to a row; the share of the points that lie far from the row of their run."""
     of = places.place_of_sample
-    run, slot, reach, scatter = runs.run_of_place[of], runs.slot_of_place[of], reach[of], scatter[of]
+    run, slot, reach, scatter = (
+        runs.run_of_place[of],
+        runs.slot_of_place[of],
+        reach[of],
+        scatter[of],
+    )
     by_run = np.argsort(run, kind="stable")
     borders = np.searchsorted(run[by_run], np.arange(len(runs.lengths) + 1))
     rows: list[Row | None] = []

@@ -1,4 +1,4 @@
-"""What each place sees around it: the way the band leads, how thick it is, patches that are no band.
+"""What each place sees around it: which way the band leads, how thick it is, what is no band.
 
 Along the band a place may look farther than across it: far enough to bridge the holes that chance
 leaves in a sparse band, without seeing the next band beside it.

@@ -37,9 +37,6 @@ class Outline:
     def centre_mm(self) -> FloatArray:
         return self.points_mm.mean(axis=0)
 
-    def moved(self, x_mm: float, y_mm: float) -> Outline:
-        return Outline(self.points_mm + [x_mm, y_mm], self.closed)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:

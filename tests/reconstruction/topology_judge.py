@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
 from reconstruction.fitting.chain import Chain
