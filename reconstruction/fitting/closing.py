@@ -211,7 +211,9 @@ class _Site:
                 pieces.append(np.hstack([path, like_last, spanned]))
         columns = np.concatenate(pieces)
         closed = way[-1] in self.partner
-        return Row(columns[:, :2], columns[:, 2], columns[:, 3], closed=closed), columns[:, 4]
+        exact = all(self.rows[end // 2].exact for end in way)
+        row = Row(columns[:, :2], columns[:, 2], columns[:, 3], closed=closed, exact=exact)
+        return row, columns[:, 4]
 
     def _trimmed(self, number: int) -> Row:
         """A row without its ends that touch others: seen from one side, they are not worth much."""

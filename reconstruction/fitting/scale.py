@@ -238,10 +238,11 @@ def _flaw_share(
 def _breaks(places: Places, runs: Runs, reach: FloatArray, ordered: BoolArray) -> int:
     """How many ends are so near to others that a longer reach would have gone on there.
 
-    Tiny loops count as well: they run around holes in a band.
+    Tiny loops beside others count as well: they run around holes in a band.
     """
     closed = np.array(runs.closed, np.bool_)
-    tiny = int((ordered & closed & (runs.lengths <= _TINY)).sum())
+    beside = runs.lengths < runs.lengths[ordered].sum() / 2
+    tiny = int((ordered & closed & beside & (runs.lengths <= _TINY)).sum())
     run, slot = runs.run_of_place, runs.slot_of_place
     of_open = np.append(ordered & ~closed, [False])[run]
     last = slot == np.append(runs.lengths, [0])[run] - 1

@@ -24,10 +24,12 @@ _AHEAD = 3.0  # ... and how many times farther at most
 _ALIKE = 9  # places that share what they scatter
 _BAND = 1.7  # slenderness from which they lie in a band
 _PATCHED = 0.4  # share of the points in patches from which they are a band wider than can be seen
-_LEAST = 10  # places of a patch
-_WIDE = 2.5  # times as far as bands, patches scatter across, ...
+_LEAST = 40  # places of a patch
+_FEW = 10  # places; fewer beside it tell nothing
+_WIDE = 3.0  # times as far as bands, patches scatter across, ...
+_WIDER = 2.2  # ... times as far as what lies beside them, ...
 _COMPACT = 3.0  # ... not so many times as far along, ...
-_FULL = 0.5  # ... and hold so many of the places in their middle for which there is room
+_FULL = 0.8  # ... and hold so many of the places in their middle for which there is room
 _BESIDE = (2.0, 5.0)  # times its deviation along, from the middle: what lies beside a patch
 
 
@@ -47,25 +49,29 @@ def look_around(places: Places) -> Sight:
     neighbours = places.neighbours
     found = frames(places.at, neighbours, _HOODS)
     width = math.sqrt(12.0) * middling(found[:, 2], places.counts)
-    across, slender = np.median(found[neighbours[:, :_ALIKE], 2:], axis=1).T
+    across, slender, wider = np.median(found[neighbours[:, :_ALIKE], 2:], axis=1).T
     ahead = np.clip(found[:, 3] / _SLENDER, 1.0, _AHEAD)
     scatter = np.where(slender > _BAND, across, np.inf)
     return Sight(
         np.column_stack([found[:, :2], ahead]),
         found[:, 3],
         scatter,
-        _in_patches(places, scatter),
+        _in_patches(places, scatter, wider < _BAND),
         width,
     )
 
 
-def _in_patches(places: Places, scatter: FloatArray) -> BoolArray:
-    """Which places are of patches, where most are of bands."""
-    blind = np.isinf(scatter)
+def _in_patches(places: Places, scatter: FloatArray, blind: BoolArray) -> BoolArray:
+    """Which of the places that see no band are of patches, where most are of bands."""
     found = np.zeros(len(blind), np.bool_)
-    if not blind.any() or places.counts[blind].sum() > _PATCHED * places.counts.sum():
+    known = np.isfinite(scatter) & ~blind
+    if (
+        not blind.any()
+        or not known.any()
+        or places.counts[blind].sum() > _PATCHED * places.counts.sum()
+    ):
         return found
-    wide = _WIDE * middling(scatter[~blind], places.counts[~blind])
+    wide = _WIDE * middling(scatter[known], places.counts[known])
     near = places.neighbours[:, :_ALIKE]
     own, other = np.repeat(np.arange(len(blind)), near.shape[1]), near.ravel()
     kept = blind[own] & blind[other]
@@ -91,12 +97,12 @@ def _is_patch(places: Places, mine: BoolArray, wide: float) -> bool:
     if (apart < shorter).sum() < _FULL * room:
         return False
     beside = (apart > _BESIDE[0] * longer) & (apart < _BESIDE[1] * longer) & ~mine
-    return bool(_scatter_of(places.at[beside]) < shorter / _WIDE)
+    return bool(_scatter_of(places.at[beside]) < shorter / _WIDER)
 
 
 def _scatter_of(at: FloatArray) -> float:
     """Median deviation across of places alone; 0 of a few."""
-    if len(at) < _LEAST:
+    if len(at) < _FEW:
         return 0.0
     near = np.asarray(cKDTree(at).query(at, k=min(int(_HOODS[-1]), len(at)))[1])
     return float(np.median(frames(at, near, _HOODS)[:, 2]))

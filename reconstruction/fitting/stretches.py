@@ -52,6 +52,12 @@ def grid_between(
     return np.roll(grid, -first), tuple(sorted(((last[wide] - first) % len(grid)).tolist()))
 
 
+def gaps_among(along: FloatArray, period: float) -> tuple[int, ...]:
+    """After which of the points a gap follows, however thin the band."""
+    holes, gaps = _holes(along, np.zeros(len(along)), period)
+    return tuple(holes[gaps].tolist())
+
+
 def _holes(along: FloatArray, thick: FloatArray, period: float) -> tuple[IntArray, BoolArray]:
     """After which points there is a hole, and which are gaps.
 

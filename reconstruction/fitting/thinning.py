@@ -12,17 +12,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
+from scipy.ndimage import median_filter
 from scipy.spatial import cKDTree
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
 from reconstruction.fitting.regression import EXACT, FAR, WINDOW, regress
-from reconstruction.fitting.stretches import grid_between
+from reconstruction.fitting.stretches import gaps_among, grid_between
 from reconstruction.fitting.support import Nodes, levelled
 
 _ROUNDS = 2
 _PLENTY = 3.0  # points in a reach: a shorter one will do where there are more
 _THICK = 5.0  # standard deviations: no reach is shorter, or noise would bend the row
 _BROAD = 10.0  # standard deviations: nor sees a parabola less far to either side
+_EXACTLY = 0.03  # times the way to the next: points that scatter less are exact
+_EVEN = 7  # steps over which the median is taken, among exact points
 _UNSTEADY = 4.0  # times the usual deviation: more is a bad fit
 _MERGED = 1.5  # times what the places around each scatter: farther off, another run is mixed in
 
@@ -36,6 +39,7 @@ class Row:
     reach: FloatArray  # (m,)
     closed: bool
     gaps: tuple[int, ...] = ()  # after which nodes there is one that no point supports
+    exact: bool = False  # the nodes are the points themselves
 
     @property
     def length(self) -> float:
@@ -65,12 +69,33 @@ def thin(
     at = (np.cumsum(used) - 1)[slots]
     for _ in range(_ROUNDS):
         row, at = _thinned(places, row, at)
+    if count == len(places) and _is_exact(places, row):
+        at = np.argsort(slots)
+        return _as_they_are(places[at], row), np.zeros(2, np.int64)
     return row, _far_off(places, row, at, scatter)
 
 
 def thin_again(places: FloatArray, row: Row) -> Row:
     """Thin the places (k, 2) of a row anew, where it was put together of several."""
-    return _thinned(places, row, np.asarray(cKDTree(row.nodes).query(places)[1]))[0]
+    at = np.asarray(cKDTree(row.nodes).query(places)[1])
+    if row.exact:
+        return _as_they_are(places[np.argsort(_lay_along(places, row, at)[0], kind="stable")], row)
+    return _thinned(places, row, at)[0]
+
+
+def _is_exact(places: FloatArray, row: Row) -> bool:
+    """Whether places in order, as many as slabs, hardly scatter beside the way to the next."""
+    return float(np.quantile(row.sigma, 0.9)) < _EXACTLY * row.length / len(places)
+
+
+def _as_they_are(places: FloatArray, row: Row) -> Row:
+    """A row of places in order, and the gaps among them."""
+    nearest = np.asarray(cKDTree(row.nodes).query(places)[1])
+    steps = np.linalg.norm(np.roll(places, -1, axis=0) - places, axis=1)
+    usual = 2.0 * median_filter(steps, size=_EVEN, mode="wrap" if row.closed else "nearest")
+    along = np.concatenate([[0.0], (steps / np.maximum(usual, 1e-300)).cumsum()])
+    gaps = gaps_among(along[:-1], float(along[-1]) if row.closed else np.inf)
+    return Row(places, row.sigma[nearest], usual, row.closed, gaps, exact=True)
 
 
 def _far_off(places: FloatArray, row: Row, at: IntArray, scatter: FloatArray) -> IntArray:
