@@ -61,6 +61,7 @@ class Bridge:
 
     @property
     def touching(self) -> bool:
+        """Whether it is too short to have a direction."""
         return self.length <= self.near
 
 
@@ -82,31 +83,46 @@ def bridges_between(rows: list[Row], ends: Ends) -> list[Bridge]:
     lengths = np.hypot(arms[..., 0], arms[..., 1])
     near = _TOUCHING * np.maximum(ends.reach[:, None], ends.reach[None])
     sigma = np.maximum(ends.sigma[:, None], ends.sigma[None])
-    touching = lengths <= near
     one, other = ends.outward[:, None], ends.outward[None]
-    beside = np.maximum(_offset(one, arms), _offset(other, arms)) - _IN_LINE * sigma
-    beside = np.arcsin(np.clip(beside / np.maximum(lengths, 1e-300), 0.0, 1.0))
-    abreast = np.maximum(np.abs(_angles(one, -other)), _AN_S * beside)
-    turns = np.where(touching, abreast, turns_of(one, arms, other))
+    abreast = _abreast(one, arms, other, lengths, _IN_LINE * sigma)
+    turns = np.where(lengths <= near, abreast, _turns(one, arms, other))
     tips = _tips(rows, ends, arms, lengths)
     turns[tips] = _TIP
     costs = np.where(turns <= _HOPELESS, lengths * (1.0 + _STIFF * turns**2), np.inf)
-    np.fill_diagonal(costs, np.inf)
-    dearest = np.sort(costs, axis=1)[:, : _CHOICE][:, -1:] if len(costs) else costs
-    wanted = np.triu((costs <= dearest) | (costs <= dearest.T)) & np.isfinite(costs)
-    found = [
-        Bridge(int(ends.numbers[i]), int(ends.numbers[j]), float(costs[i, j]),
-               float(lengths[i, j]), float(turns[i, j]), float(sigma[i, j]), float(near[i, j]), bool(tips[i, j]))
-        for i, j in np.argwhere(wanted)
-    ]  # fmt: skip
+    found = []
+    for i, j in _cheapest(costs):
+        cost, length, turn = float(costs[i, j]), float(lengths[i, j]), float(turns[i, j])
+        far, close, tip = float(sigma[i, j]), float(near[i, j]), bool(tips[i, j])
+        numbers = int(ends.numbers[i]), int(ends.numbers[j])
+        found.append(Bridge(*numbers, cost, length, turn, far, close, tip))
     return sorted(found, key=lambda bridge: (bridge.cost, bridge.one, bridge.other))
 
 
-def _tips(rows: list[Row], ends: Ends, arms: FloatArray, lengths: FloatArray) -> BoolArray:
-    """Which pairs of ends are a tip and where the one run came too near the other for it. ::
+def _cheapest(costs: FloatArray) -> IntArray:
+    """Pairs (k, 2) that are among the cheapest few of one of the two."""
+    costs = costs.copy()
+    np.fill_diagonal(costs, np.inf)
+    dearest = np.sort(costs, axis=1)[:, :_CHOICE].max(axis=1, initial=0.0)
+    chosen = np.isfinite(costs) & (costs <= np.maximum(dearest[:, None], dearest[None]))
+    return np.argwhere(np.triu(chosen))
 
-        ------- one __                    Both lead to the tip, and there is no room between
-        --------------`===== other        the rows at the end that lies behind.
+
+def _abreast(
+    one: FloatArray, arm: FloatArray, other: FloatArray, lengths: FloatArray, within: FloatArray
+) -> FloatArray:
+    """The turn between ends that touch: their own, and what it takes to get in line."""
+    aside = np.maximum(_offset(one, arm), _offset(other, arm)) - within
+    angle = np.arcsin(np.clip(aside / np.maximum(lengths, 1e-300), 0.0, 1.0))
+    return np.maximum(np.abs(_angles(one, -other)), _AN_S * angle)
+
+
+def _tips(rows: list[Row], ends: Ends, arms: FloatArray, lengths: FloatArray) -> BoolArray:
+    """Which pairs of ends are a tip, and where the one run came too near the other for it.
+
+    Both lead to the tip, and beside the end that lies behind runs the other's row. ::
+
+        ------ one __
+        -------------`====== other
     """
     ahead = (arms * ends.outward[:, None]).sum(axis=2) > _AHEAD_OF * lengths
     alike = ends.outward @ ends.outward.T > _ALIKE
@@ -126,8 +142,8 @@ def _offset(tangent: FloatArray, arm: FloatArray) -> FloatArray:
     return np.abs(tangent[..., 0] * arm[..., 1] - tangent[..., 1] * arm[..., 0])
 
 
-def turns_of(one: FloatArray, arm: FloatArray, other: FloatArray) -> FloatArray:
-    """How hard bridges turn that leave along `one` and arrive against `other`; (..., 2) -> (...)"""
+def _turns(one: FloatArray, arm: FloatArray, other: FloatArray) -> FloatArray:
+    """How hard bridges turn that leave along `one` and arrive against `other`."""
     a, b = _angles(one, arm), _angles(arm, -other)
     return np.asarray(2.0 * np.sqrt(np.maximum(a * a - a * b + b * b, 0.0)))
 

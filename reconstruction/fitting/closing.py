@@ -49,7 +49,7 @@ class Joined:
 def join(rows: list[Row]) -> list[Joined]:
     """Join open rows, and close them, over gaps: the cheapest bridge first.
 
-    Crumbs, too short to have a direction, are added to the row that passes by, or to none.
+    Crumbs, too short to have a direction, are left out.
     """
     longest = max((row.length for row in rows), default=0.0)
     whole = [
@@ -57,16 +57,9 @@ def join(rows: list[Row]) -> list[Joined]:
         for number, row in enumerate(rows)
         if row.closed or row.length > min(_CRUMB * float(row.reach.max()), longest / 4)
     ]
-    joined = _Site([rows[number] for number in whole]).joined()
-    members = [[whole[number] for number in one.members] for one in joined]
-    for crumb in sorted(set(range(len(rows))) - set(whole)):
-        for one, those in zip(joined, members, strict=True):
-            if _passes(one.row, rows[crumb]):
-                those.append(crumb)
-                break
     return [
-        replace(one, members=tuple(those), put_together=one.put_together or len(those) > 1)
-        for one, those in zip(joined, members, strict=True)
+        replace(one, members=tuple(whole[number] for number in one.members))
+        for one in _Site([rows[number] for number in whole]).joined()
     ]
 
 
@@ -166,9 +159,7 @@ class _Site:
 
     def _may_close(self, way: list[int]) -> bool:
         """Whether an open chain might be a loop all the same."""
-        bridge = next(
-            (b for b in self.bridges if {b.one, b.other} == {way[0], way[-1]}), None
-        )
+        bridge = next((b for b in self.bridges if {b.one, b.other} == {way[0], way[-1]}), None)
         if bridge is None:
             return self._may_turn(way)
         length = sum(self.rows[end // 2].length for end in way[::2])
@@ -220,7 +211,9 @@ class _Site:
                 pieces.append(np.hstack([path, like_last, spanned]))
         columns = np.concatenate(pieces)
         closed = way[-1] in self.partner
-        return Row(columns[:, :2], columns[:, 2], columns[:, 3], closed=closed), columns[:, 4]
+        exact = all(self.rows[end // 2].exact for end in way)
+        row = Row(columns[:, :2], columns[:, 2], columns[:, 3], closed=closed, exact=exact)
+        return row, columns[:, 4]
 
     def _trimmed(self, number: int) -> Row:
         """A row without its ends that touch others: seen from one side, they are not worth much."""
@@ -240,14 +233,3 @@ class _Site:
 def _columns(row: Row, *, backwards: bool) -> FloatArray:
     columns = np.column_stack([row.nodes, row.sigma, row.reach, np.zeros(len(row.nodes))])
     return columns[::-1].copy() if backwards else columns
-
-
-def _passes(row: Row, crumb: Row) -> bool:
-    """Whether a row runs, bridges included, within a reach of a crumb's middle."""
-    middle = crumb.nodes.mean(axis=0)
-    ring = np.vstack([row.nodes, row.nodes[:1]]) if row.closed else row.nodes
-    arms = np.diff(ring, axis=0)
-    squares = np.maximum((arms**2).sum(axis=1), 1e-300)
-    share = np.clip(((middle - ring[:-1]) * arms).sum(axis=1) / squares, 0.0, 1.0)
-    away = np.linalg.norm(ring[:-1] + share[:, None] * arms - middle, axis=1)
-    return bool(away.min() <= max(crumb.reach.max(), row.reach.max()))

@@ -59,7 +59,9 @@ def _ways(strands: list[Strand]) -> tuple[FloatArray, IntArray, IntArray]:
 
 def _worth(row: Row, way: int) -> tuple[bool, float]:
     """How well a way may be missed: those without points before others, the longest first."""
-    return way in row.gaps, float(np.linalg.norm(row.nodes[(way + 1) % len(row.nodes)] - row.nodes[way]))
+    return way in row.gaps, float(
+        np.linalg.norm(row.nodes[(way + 1) % len(row.nodes)] - row.nodes[way])
+    )
 
 
 def _untied(row: Row, one: int, other: int) -> Row | None:
@@ -82,7 +84,9 @@ def _cut(row: Row, way: int) -> list[Row]:
     if row.closed:
         turned = np.roll(np.arange(count), -way - 1)
         gaps = tuple(sorted((gap - way - 1) % count for gap in row.gaps if gap != way))
-        return [Row(row.nodes[turned], row.sigma[turned], row.reach[turned], closed=False, gaps=gaps)]
+        return [
+            Row(row.nodes[turned], row.sigma[turned], row.reach[turned], closed=False, gaps=gaps)
+        ]
     before = np.arange(count) <= way
     return [_of_nodes(row, kept, closed=False) for kept in (before, ~before) if kept.sum() >= 2]
 
@@ -96,7 +100,7 @@ def _of_nodes(row: Row, kept: BoolArray, *, closed: bool) -> Row:
 
 
 def ways_along(nodes: FloatArray, *, closed: bool) -> FloatArray:
-    """From node to node: (m, 2) -> (m - 1 or m, 2, 2)."""
+    """Ways from node to node; (m, 2) -> (m - 1 or m, 2, 2)."""
     ring = np.vstack([nodes, nodes[:1]]) if closed else nodes
     return np.stack([ring[:-1], ring[1:]], axis=1)
 

@@ -18,30 +18,33 @@ from reconstruction.arrays import FloatArray, IntArray
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def frames(places: FloatArray, neighbours: IntArray, hoods: IntArray) -> FloatArray:
-    """Direction, deviation across and slenderness of q places; (m, 2), (q, k) -> (q, 4).
+    """Direction, deviation across and slenderness of q places; (m, 2), (q, k) -> (q, 5).
 
     Neighbours are in the order of their distance, each place the first of its own; `hoods` says
     how many of them are looked at, ascending from 4. Slenderness is the deviation along over that
-    across.
+    across; at last, that of the largest neighbourhood.
     """
-    found = np.empty((len(neighbours), 4))
+    found = np.empty((len(neighbours), 5))
     for n in range(len(neighbours)):
         near = neighbours[n]
-        count, ratio, cosine, sine = _most_slender(places, near, hoods)
+        count, ratio, cosine, sine, last = _most_slender(places, near, hoods)
         found[n, 0], found[n, 1] = cosine, sine
         found[n, 2] = _across(places, near[:count], cosine, sine)
-        found[n, 3] = 1.0 / math.sqrt(max(ratio, 1e-6))
+        found[n, 3], found[n, 4] = (
+            1.0 / math.sqrt(max(ratio, 1e-6)),
+            1.0 / math.sqrt(max(last, 1e-6)),
+        )
     return found
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _most_slender(
     places: FloatArray, near: IntArray, hoods: IntArray
-) -> tuple[int, float, float, float]:
-    """How many neighbours, their variance across over that along, and their direction."""
+) -> tuple[int, float, float, float, float]:
+    """How many neighbours, their variance across over that along, their direction; and of all."""
     ox, oy = places[near[0], 0], places[near[0], 1]
     sx = sy = sxx = sxy = syy = 0.0
-    best, most, tilt = np.inf, len(near), 0.0
+    best, most, tilt, ratio = np.inf, len(near), 0.0, 1.0
     h = 0
     for k in range(len(near)):
         x, y = places[near[k], 0] - ox, places[near[k], 1] - oy
@@ -59,7 +62,7 @@ def _most_slender(
         h += 1
         if h == len(hoods):
             break
-    return most, best, math.cos(tilt), math.sin(tilt)
+    return most, best, math.cos(tilt), math.sin(tilt), ratio
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

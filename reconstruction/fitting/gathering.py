@@ -32,7 +32,7 @@ def gather(
 ) -> tuple[list[Joined], IntArray]:
     """Give loose pieces to the chains; the chain of each run is the same or that which got it."""
     found, runs, counts = chain_of_run.copy(), order.runs, places.counts
-    loose = (chain_of_run < 0) & ~order.heaps
+    loose = (chain_of_run < 0) & ~order.patches
     if not loose.any() or not joined:
         return joined, found
     free = np.flatnonzero(np.append(loose, False)[runs.run_of_place])
@@ -83,7 +83,9 @@ class _Ways:
         self.arm[[at for at, row in zip(last, rows, strict=True) if not row.closed]] = 0.0
         length = np.concatenate([one.bridge for one in joined])
         chain = np.repeat(np.arange(len(rows)), [len(row.nodes) for row in rows])
-        sigma, reach = (np.concatenate([getattr(row, name) for row in rows]) for name in ("sigma", "reach"))
+        sigma, reach = (
+            np.concatenate([getattr(row, name) for row in rows]) for name in ("sigma", "reach")
+        )
         self.tolerance = _FAR * sigma + _BENT * length
         kinds, first, self.bridge = np.unique(
             np.column_stack([chain, length]), axis=0, return_index=True, return_inverse=True

@@ -77,7 +77,9 @@ def neighbours_of(
     return _neighbours(places, reach, frames, low, edge, int(shape[0]), int(shape[1]))
 
 
-def apart(starts: IntArray, neighbours: IntArray, kind: BoolArray | IntArray) -> tuple[IntArray, IntArray]:
+def apart(
+    starts: IntArray, neighbours: IntArray, kind: BoolArray | IntArray
+) -> tuple[IntArray, IntArray]:
     """Neighbours of the same kind only."""
     own = np.repeat(np.arange(len(kind)), np.diff(starts))
     kept = kind[neighbours] == kind[own]

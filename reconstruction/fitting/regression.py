@@ -84,9 +84,7 @@ def _fitted(
     if far == np.inf:
         return fit
     if last - first <= _FEW:
-        fit = _without_the_worst(
-            along, places, origin, at, window, first, last, fit, far, period
-        )
+        fit = _without_the_worst(along, places, origin, at, window, first, last, fit, far, period)
     return _parabola(along, places, origin, at, window, first, last, last, fit, far, period)
 
 

@@ -1,7 +1,8 @@
 """Few points, hardly noisier than they are far apart: the points themselves in order.
 
 The shortest tree that spans the points of one well sampled run is a path but for twigs of a point
-or two; the twigs are put where they lengthen the path least, and crossings undone (2-opt). Where
+or two; the twigs are put where they lengthen the path least, and crossings undone (2-opt). Longer
+branches are runs of their own. Where
 the noise is wider than the spacing the tree is bushy and this gives up: bands are for `linking`.
 """
 
@@ -106,7 +107,10 @@ def _usual(place: int, parents: IntArray, around: list[list[float]]) -> float:
 def _path_of(
     places: FloatArray, tree: list[list[int]]
 ) -> tuple[IntArray, int, list[tuple[IntArray, list[list[int]]]]]:
-    """The longest path of a tree, its twigs put in; how many points lie on longer ones; branches."""
+    """The longest path of a tree, its twigs put in, and long branches as trees of their own.
+
+    Between the two, how many points are of twigs longer than they should be.
+    """
     far = _farthest(places, tree, 0)[-1]
     path = _farthest(places, tree, far)
     on_path = set(path)

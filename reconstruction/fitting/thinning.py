@@ -8,7 +8,7 @@ polynomials, so that neither a bend nor an end draws it inward. Lengths along a 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -16,26 +16,18 @@ from scipy.ndimage import median_filter
 from scipy.spatial import cKDTree
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
-from reconstruction.fitting.regression import EXACT, FAR, STEP, WINDOW, regress
+from reconstruction.fitting.regression import EXACT, FAR, WINDOW, regress
+from reconstruction.fitting.stretches import gaps_among, grid_between
+from reconstruction.fitting.support import Nodes, levelled
 
 _ROUNDS = 2
-_HOLE = 1.5  # reaches without a point: no node is put there, where it would hang in the air
-_GAP = 3.0  # reaches between nodes beside a hole ...
-_BESIDE = 8  # points on either side of a hole tell how far apart they usually are ...
-_SILENT = 4.0  # ... and it is a gap from so many times the widest of these ways but one, ...
-_SILENCE = 7.0  # ... or the way that three quarters of them do not exceed
-_THICK = 5.0  # standard deviations: no reach is shorter, or noise would bend the row
 _PLENTY = 3.0  # points in a reach: a shorter one will do where there are more
+_THICK = 5.0  # standard deviations: no reach is shorter, or noise would bend the row
 _BROAD = 10.0  # standard deviations: nor sees a parabola less far to either side
-_MERGED = 1.5  # times what the places around each scatter: farther off, another run is mixed in
-_SUPPORT = 4  # points close by, with which a node may lie anywhere; with fewer, ...
-_SCANT = 6.0  # ... or that many times fewer than usual around, ...
-_COMPANY = 4.0  # times fewer than usual: no company at the edge of a gap
-_BULGE = 2.5  # ... no more standard deviations than this from the nodes beside it
-_LEAD = 4  # supported nodes that lead to one beyond them
+_EXACTLY = 0.03  # times the way to the next: points that scatter less are exact
+_EVEN = 7  # steps over which the median is taken, among exact points
 _UNSTEADY = 4.0  # times the usual deviation: more is a bad fit
-_STEADY = 15  # nodes over whose spreads the median is taken
-
+_MERGED = 1.5  # times what the places around each scatter: farther off, another run is mixed in
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +39,7 @@ class Row:
     reach: FloatArray  # (m,)
     closed: bool
     gaps: tuple[int, ...] = ()  # after which nodes there is one that no point supports
+    exact: bool = False  # the nodes are the points themselves
 
     @property
     def length(self) -> float:
@@ -76,12 +69,33 @@ def thin(
     at = (np.cumsum(used) - 1)[slots]
     for _ in range(_ROUNDS):
         row, at = _thinned(places, row, at)
+    if count == len(places) and _is_exact(places, row):
+        at = np.argsort(slots)
+        return _as_they_are(places[at], row), np.zeros(2, np.int64)
     return row, _far_off(places, row, at, scatter)
 
 
 def thin_again(places: FloatArray, row: Row) -> Row:
     """Thin the places (k, 2) of a row anew, where it was put together of several."""
-    return _thinned(places, row, np.asarray(cKDTree(row.nodes).query(places)[1]))[0]
+    at = np.asarray(cKDTree(row.nodes).query(places)[1])
+    if row.exact:
+        return _as_they_are(places[np.argsort(_lay_along(places, row, at)[0], kind="stable")], row)
+    return _thinned(places, row, at)[0]
+
+
+def _is_exact(places: FloatArray, row: Row) -> bool:
+    """Whether places in order, as many as slabs, hardly scatter beside the way to the next."""
+    return float(np.quantile(row.sigma, 0.9)) < _EXACTLY * row.length / len(places)
+
+
+def _as_they_are(places: FloatArray, row: Row) -> Row:
+    """A row of places in order, and the gaps among them."""
+    nearest = np.asarray(cKDTree(row.nodes).query(places)[1])
+    steps = np.linalg.norm(np.roll(places, -1, axis=0) - places, axis=1)
+    usual = 2.0 * median_filter(steps, size=_EVEN, mode="wrap" if row.closed else "nearest")
+    along = np.concatenate([[0.0], (steps / np.maximum(usual, 1e-300)).cumsum()])
+    gaps = gaps_among(along[:-1], float(along[-1]) if row.closed else np.inf)
+    return Row(places, row.sigma[nearest], usual, row.closed, gaps, exact=True)
 
 
 def _far_off(places: FloatArray, row: Row, at: IntArray, scatter: FloatArray) -> IntArray:
@@ -101,20 +115,19 @@ def _thinned(places: FloatArray, row: Row, at: IntArray) -> tuple[Row, IntArray]
     order = np.argsort(along, kind="stable")
     knots = [np.append(v, v[0]) if row.closed else v for v in (row.sigma, row.reach)]
     thick = np.interp(along[order], ups, _THICK * knots[0] / knots[1])
-    grid, gaps = _grid_between(along[order], thick, period)
+    grid, gaps = grid_between(along[order], thick, period)
     spread, reach = (np.interp(grid, ups, values) for values in knots)
-    nodes, sigma, close = regress(
-        along[order], places[order], grid, spread, _windows(spread, reach), period
-    )
+    widest = _windows(spread, reach)
+    middles, sigma, close = regress(along[order], places[order], grid, spread, widest, period)
+    nodes = Nodes(middles, sigma, close, grid, period)
     # A stray beside a few nodes does not make the band wide there.
-    sigma = median_filter(sigma, size=_STEADY, mode="wrap" if row.closed else "nearest")
+    sigma = nodes.steadied(sigma)
     sigma = np.minimum(sigma, _UNSTEADY * np.median(sigma))
-    usual = median_filter(close, size=_STEADY, mode="wrap" if row.closed else "nearest")
-    reach = np.maximum(reach * np.minimum(1.0, _PLENTY / np.maximum(usual, 1.0)), _THICK * sigma)
-    supported = close >= np.maximum(np.minimum(_SUPPORT, usual / 2.0), usual / _SCANT)
-    nodes, kept = _levelled(nodes, sigma, grid, supported, close, usual, period)
+    enough = np.minimum(1.0, _PLENTY / np.maximum(nodes.steadied(close), 1.0))
+    reach = np.maximum(reach * enough, _THICK * sigma)
+    middles, kept = levelled(replace(nodes, sigma=sigma))
     gaps = _gaps_among(kept, gaps, closed=row.closed)
-    new = Row(nodes[kept], sigma[kept], reach[kept], row.closed, gaps)
+    new = Row(middles[kept], sigma[kept], reach[kept], row.closed, gaps)
     return new, np.searchsorted(grid[kept], along, side="right") - 1
 
 
@@ -130,134 +143,10 @@ def _gaps_among(kept: BoolArray, gaps: tuple[int, ...], *, closed: bool) -> tupl
     return tuple(sorted(place for place in found if 0 <= place < count - 1))
 
 
-def _levelled(
-    nodes: FloatArray,
-    sigma: FloatArray,
-    grid: FloatArray,
-    supported: BoolArray,
-    close: FloatArray,
-    usual: FloatArray,
-    period: float,
-) -> tuple[FloatArray, BoolArray]:
-    """Put what bulges out for a point or two back between the supported nodes beside it.
-
-    At the edge of a gap there is nothing beside it on one side: it is kept if it lies ahead, in
-    company.
-    """
-    company = close >= np.maximum(1.0, usual / _COMPANY)
-    if supported.mean() < 0.5 or supported.all():
-        return nodes, np.ones(len(nodes), np.bool_)
-    at, columns = grid[supported], nodes[supported]
-    if period < np.inf:
-        at = np.concatenate([at - period, at, at + period])
-        columns = np.concatenate([columns, columns, columns])
-    following = np.searchsorted(at, grid)
-    inner = (following > 0) & (following < len(at))
-    following = np.clip(following, 1, len(at) - 1)
-    # Not across a gap: there nobody knows where the middle runs.
-    inner &= at[following] - at[following - 1] <= _GAP
-    between = np.stack([np.interp(grid, at, column) for column in columns.T], axis=1)
-    bulges = np.linalg.norm(nodes - between, axis=1) > _BULGE * sigma + EXACT
-    kept = supported | inner
-    kept |= _substantial(~kept, close, usual, wrapped=period < np.inf)
-    for lost in np.flatnonzero(~kept & company):
-        kept[lost] = _lies_ahead(nodes[lost], float(sigma[lost]), float(grid[lost]), at, columns)
-    return np.where((bulges & ~supported & inner)[:, None], between, nodes), kept
-
-
-def _substantial(
-    lost: BoolArray, close: FloatArray, usual: FloatArray, *, wrapped: bool
-) -> BoolArray:
-    """Which of the lost nodes lie in stretches with points enough not to be of strays."""
-    if not lost.any() or lost.all():
-        return np.zeros(len(lost), np.bool_)
-    first = int(np.argmin(lost)) if wrapped else 0  # no stretch over the seam
-    lost, close, usual = (np.roll(values, -first) for values in (lost, close, usual))
-    stretch = np.cumsum(np.diff(lost, prepend=False)) * lost
-    points, expected, nodes = (
-        np.bincount(stretch, values, stretch.max() + 1) for values in (close, usual, lost)
-    )
-    # A point is close to two nodes.
-    held = (points >= 2 * _SUPPORT) & (points >= expected / _COMPANY) & (nodes > 1)
-    return np.asarray(np.roll(held[stretch] & lost, first))
-
-
-def _lies_ahead(
-    node: FloatArray, sigma: float, place: float, at: FloatArray, supported: FloatArray
-) -> bool:
-    """Whether a node lies where the supported nodes on the nearer side of it lead."""
-    nearest = int(np.argmin(np.abs(at - place)))
-    ahead = 1 if place > at[nearest] else -1
-    back = nearest - ahead * min(_LEAD, nearest if ahead > 0 else len(at) - 1 - nearest)
-    run = abs(float(at[nearest] - at[back]))
-    beyond = abs(place - float(at[nearest]))
-    if not 0.0 < run <= 2.0 * _LEAD or beyond > _GAP:
-        return False
-    aim = supported[nearest] + beyond / run * (supported[nearest] - supported[back])
-    return float(np.linalg.norm(node - aim)) <= _BULGE * sigma * (1.0 + beyond / run) + EXACT
-
-
 def _windows(spread: FloatArray, reach: FloatArray) -> FloatArray:
     """Half window of each parabola, in reaches; a spread not known yet is infinite."""
     known = np.where(np.isfinite(spread), spread, 0.0)
     return np.clip(_BROAD * known / np.maximum(reach, 1e-300), WINDOW, 2.0 * WINDOW)
-
-
-def _grid_between(
-    along: FloatArray, thick: FloatArray, period: float
-) -> tuple[FloatArray, tuple[int, ...]]:
-    """Steps along the stretches that points support, and after which of them a gap follows."""
-    closed = period < np.inf
-    breaks, wide = _holes(along, thick, period)
-    if closed and not len(breaks):
-        return np.linspace(0.0, period, max(round(period / STEP), 4), endpoint=False), ()
-    if closed:  # from one hole to its repetition
-        along = np.concatenate([along[breaks[0] + 1 :], along[: breaks[0] + 1] + period])
-        breaks, wide = breaks[1:] - breaks[0] - 1, np.roll(wide, -1)
-    else:
-        along, beyond = _without_tails(along)
-        inner = (breaks >= beyond) & (breaks < beyond + len(along) - 1)
-        breaks, wide = breaks[inner] - beyond, wide[inner]
-    starts, ends = along[np.append(0, breaks + 1)], along[np.append(breaks, len(along) - 1)]
-    pieces = [
-        np.linspace(start, end, max(round((end - start) / STEP), 1) + 1)
-        for start, end in zip(starts, ends, strict=True)
-    ]
-    grid = np.concatenate(pieces)
-    last = np.cumsum([len(piece) for piece in pieces]) - 1
-    if not closed:
-        return grid, tuple(last[:-1][wide].tolist())
-    grid = np.mod(grid, period)
-    first = int(np.argmin(grid))
-    return np.roll(grid, -first), tuple(sorted(((last[wide] - first) % len(grid)).tolist()))
-
-
-def _holes(along: FloatArray, thick: FloatArray, period: float) -> tuple[IntArray, BoolArray]:
-    """After which points there is a hole, and which are gaps.
-
-    A gap is thicker than the band, and wider than the ways around it explain.
-    """
-    ways = np.diff(along, append=along[0] + period if period < np.inf else -np.inf)
-    holes = np.flatnonzero(ways > np.minimum(_HOLE, thick))
-    most = min(_BESIDE, (len(ways) - 1) // 2)
-    beside = np.concatenate([np.arange(-most, 0), np.arange(1, most + 1)])
-    around = np.sort(ways[(holes[:, None] + beside) % len(ways)], axis=1)
-    usual = np.minimum(_SILENT * around[:, -2], _SILENCE * around[:, -1 - most // 2]) if most else 0.0
-    gaps = ways[holes] > usual
-    kept = gaps | (ways[holes] > _HOLE)
-    return holes[kept], gaps[kept]
-
-
-def _without_tails(along: FloatArray) -> tuple[FloatArray, int]:
-    """Without the first and last two of many points, and how many are left out.
-
-    They may be strays beyond the ends.
-    """
-    beyond = min(2, len(along) // 100)
-    inner = along[beyond : len(along) - beyond]
-    if not inner[-1] > inner[0]:
-        return np.array([inner[0], inner[0] + STEP]), beyond
-    return inner, beyond
 
 
 def _lay_along(

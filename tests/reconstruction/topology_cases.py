@@ -37,9 +37,6 @@ class Outline:
     def centre_mm(self) -> FloatArray:
         return self.points_mm.mean(axis=0)
 
-    def moved(self, x_mm: float, y_mm: float) -> Outline:
-        return Outline(self.points_mm + [x_mm, y_mm], self.closed)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
@@ -90,6 +87,7 @@ class Uneven:
             seen[np.arange(start, start + length) % len(seen)] = False
         return seen
 
+
 EVEN = Uneven()
 
 
@@ -98,7 +96,9 @@ def evenly(points: FloatArray, *, closed: bool = True) -> Outline:
     ring = np.vstack([points, points[:1]]) if closed else points
     along = np.concatenate([[0.0], np.linalg.norm(np.diff(ring, axis=0), axis=1).cumsum()])
     wanted = np.linspace(0.0, along[-1], round(along[-1] / STEP_MM), endpoint=not closed)
-    return Outline(np.stack([np.interp(wanted, along, column) for column in ring.T], axis=1), closed)
+    return Outline(
+        np.stack([np.interp(wanted, along, column) for column in ring.T], axis=1), closed
+    )
 
 
 def polar(radius: FloatArray, turns: float = 1.0, *, closed: bool = True) -> Outline:

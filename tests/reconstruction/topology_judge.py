@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
 from reconstruction.fitting.chain import Chain
@@ -99,7 +98,11 @@ def _strays_from(chain: Chain, outline: Outline, scene: Scene, *, whole: bool) -
     steps = _steps(nearest[~in_gap], outline, around=closed)
     if steps.min(initial=0.0) < -band:
         return f"it runs back by {-steps.min():.2f} mm"
-    if outline.closed and closed and abs(steps.sum() - outline.length_mm) > 0.01 * outline.length_mm:
+    if (
+        outline.closed
+        and closed
+        and abs(steps.sum() - outline.length_mm) > 0.01 * outline.length_mm
+    ):
         return f"it passes {steps.sum():.1f} of {outline.length_mm:.1f} mm"
     missed = _longest(outline, scene.seen_of(outline), nearest[~in_gap], closed=outline.closed)
     if whole and missed > scene.blur_mm:
