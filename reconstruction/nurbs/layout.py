@@ -96,7 +96,7 @@ class Layout:
         """Numbers of the points along a border, by growing parameter."""
         along = self.numbers if side in (Border.V_START, Border.V_END) else self.numbers.T
         ids = along[0 if side in (Border.V_START, Border.U_START) else -1]
-        return ids[ids >= 0]
+        return np.asarray(ids[ids >= 0])
 
     def strips(self) -> list[Strip]:
         """Bands between the rows, and upright strips along borders of u that were given points.

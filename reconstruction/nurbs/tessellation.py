@@ -1,9 +1,9 @@
 """A surface as triangles within a tolerance, watertight with its neighbours.
 
-The points are laid out by second derivatives (`layout`), the triangles then measured at three
-places of every edge and four of every face, and laid out again more or less densely until they are
-just good enough. Seams of closed directions and poles are one vertex each, so a closed surface comes out
-closed; along a border that was given its points, a neighbour that was given the same has the same.
+The points are laid out by second derivatives (`layout`), the triangles then measured at many places
+(`chordal_error`), and laid out again more or less densely until they are just good enough. Seams of
+closed directions and poles are one vertex each, so a closed surface comes out closed; along a
+border that was given its points, a neighbour that was given the same has the same.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray, frozen
+from reconstruction.nurbs.chordal_error import Placed, chordal_error
 from reconstruction.nurbs.layout import Border, Layout, Sheet, lay, sheet_of
 from reconstruction.nurbs.surface_evaluation import evaluate_surface_at
 from reconstruction.nurbs.values import Surface
@@ -22,8 +23,6 @@ from reconstruction.nurbs.values import Surface
 _ONE_POINT = 1e-12  # of the surface's extent: a border so short is a pole
 _AIMED, _GOOD = 0.93, 0.85  # parts of the tolerance: aimed at, and near enough to stop
 _ALLOWED = 0.97  # the worst place of an edge or a face is not quite one that is measured
-_EDGE_PLACES = np.array([[1.0, 1.0], [3.0, 1.0], [1.0, 3.0]])
-_FACE_PLACES = np.array([[1.0, 1.0, 1.0], [4.0, 1.0, 1.0], [1.0, 4.0, 1.0], [1.0, 1.0, 4.0]])
 _TRIES = 12
 
 
@@ -84,23 +83,12 @@ def tessellate(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Placed:
-    """The points of a layout: on seams they stand twice, at poles many times."""
-
-    parameters: FloatArray  # (n, 2)
-    points_mm: FloatArray  # (n, 3)
-    same: IntArray  # (n,), the first of the points at one place
-    loose: BoolArray  # (n, 2), whether u or v says nothing: at a pole
-    held: IntArray  # (n,), a bit for every border that was given its points and has this one
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class _Filled:
     """A layout filled with triangles."""
 
     turned: bool  # u and v are exchanged
     layout: Layout
-    placed: _Placed
+    placed: Placed
     faces: IntArray  # (m, 3), none without area
     off_mm: float
 
@@ -115,10 +103,10 @@ def _filled(sheet: Sheet, tolerance_mm: float) -> _Filled:
     faces = np.concatenate([each.triangles(placed.parameters, lying.flat) for each in strips])
     a, b, c = placed.same[faces].T
     faces = faces[(a != b) & (b != c) & (c != a)]
-    return _Filled(turned, layout, placed, faces, _off(lying, placed, faces))
+    return _Filled(turned, layout, placed, faces, chordal_error(lying, placed, faces))
 
 
-def _placed(sheet: Sheet, layout: Layout) -> _Placed:
+def _placed(sheet: Sheet, layout: Layout) -> Placed:
     """Evaluate the points, and tell which are one: across seams, and at poles."""
     numbers, kept = layout.numbers, layout.kept
     loose = np.zeros((*kept.shape, 2), dtype=np.bool_)
@@ -139,93 +127,13 @@ def _placed(sheet: Sheet, layout: Layout) -> _Placed:
     held = np.zeros(len(points), dtype=np.int64)
     for bit, side in enumerate(layout.listed):
         held[layout.border(side)] |= 1 << bit
-    return _Placed(parameters, points, numbers[kept], loose[kept], held)
+    return Placed(parameters, points, numbers[kept], loose[kept], held)
 
 
 def _is_point(net_mm: FloatArray, border_mm: FloatArray) -> bool:
     """Whether a border is a pole: all its control points are one."""
     extent = float(np.ptp(net_mm, axis=(0, 1)).max())
     return float(np.ptp(border_mm, axis=0).max()) <= _ONE_POINT * extent
-
-
-def _off(sheet: Sheet, made: _Placed, faces: IntArray) -> float:
-    """How far the surface is from the triangles, over places on their edges and on themselves.
-
-    Over an edge that is how far it is from both its triangles; where the surface ends or may have
-    an edge itself, from the triangles' edge. Borders that were given their points, and the triangles
-    that stand on them, are left out.
-    """
-    corners = made.points_mm[faces]
-    tails, heads, ones, others = _edges(made.same, faces)
-    ends = np.stack([tails, heads], axis=1)
-    given = (made.held[tails] & made.held[heads]) != 0
-    touched = np.zeros(len(faces), dtype=np.bool_)
-    touched[ones[given]] = touched[others[given]] = True
-    sharp = _on_sharp_lines(sheet, made.parameters[ends]) | (ones == others)
-    apart, free = ~(touched[ones] | touched[others]), ~touched
-    worst = 0.0
-    for shares in _EDGE_PLACES:
-        over = evaluate_surface_at(sheet.surface, *_between(made, ends, shares).T)
-        above = np.minimum(
-            _from_triangle(over, corners[ones]), _from_triangle(over, corners[others])
-        )
-        beside = _from_segment(over, made.points_mm[tails], made.points_mm[heads])
-        worst = max(worst, float(np.where(sharp, beside, above)[apart].max(initial=0.0)))
-    for shares in _FACE_PLACES:
-        over = evaluate_surface_at(sheet.surface, *_between(made, faces[free], shares).T)
-        worst = max(worst, float(_from_triangle(over, corners[free]).max(initial=0.0)))
-    return worst
-
-
-def _edges(same: IntArray, faces: IntArray) -> tuple[IntArray, IntArray, IntArray, IntArray]:
-    """Both ends of every edge, and the two faces at it; one face twice where there is one."""
-    tails, heads = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    one, other = same[tails], same[heads]
-    keys = np.minimum(one, other) * len(same) + np.maximum(one, other)
-    order = np.argsort(keys, kind="stable")
-    starts = np.flatnonzero(np.diff(keys[order], prepend=-1))
-    stops = np.append(starts[1:], len(order)) - 1
-    first, last = order[starts], order[stops]
-    return tails[first], heads[first], first // 3, last // 3
-
-
-def _on_sharp_lines(sheet: Sheet, ends: FloatArray) -> BoolArray:
-    """Which edges (m, 2, 2) lie on lines across which the surface may have an edge."""
-    flat = sheet.flat
-    found = np.zeros(len(ends), dtype=np.bool_)
-    for k, sharp in enumerate((flat.breaks_u[flat.sharp_u], flat.breaks_v[flat.sharp_v])):
-        found |= (ends[:, 0, k] == ends[:, 1, k]) & np.isin(ends[:, 0, k], sharp)
-    return found
-
-
-def _between(made: _Placed, corners: IntArray, shares: FloatArray) -> FloatArray:
-    """Parameters (m, 2) between points (m, k); a u or a v that says nothing is left out."""
-    says = ~made.loose[corners]
-    says |= ~says.any(axis=1, keepdims=True)
-    weights = np.where(says, shares[:, None], 0.0)
-    return np.asarray((weights * made.parameters[corners]).sum(axis=1) / weights.sum(axis=1))
-
-
-def _from_segment(places: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-    """Distances of places (m, 3) from the segments from a to b."""
-    way, arm = b - a, places - a
-    squares = np.einsum("ij,ij->i", way, way)
-    along = np.einsum("ij,ij->i", arm, way)
-    share = np.divide(along, squares, out=np.zeros_like(along), where=squares > 0).clip(0.0, 1.0)
-    return np.asarray(np.linalg.norm(arm - share[:, None] * way, axis=1))
-
-
-def _from_triangle(places: FloatArray, corners: FloatArray) -> FloatArray:
-    """Distances of places (m, 3) from triangles (m, 3, 3)."""
-    ahead = np.roll(corners, -1, axis=1)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(normals, axis=1)
-    arms = places[:, None] - corners
-    sides = np.einsum("ijk,ik->ij", np.cross(ahead - corners, arms), normals)
-    inside = (sides >= 0.0).all(axis=1) & (lengths > 0)
-    heights = np.abs(np.einsum("ij,ij->i", arms[:, 0], normals))
-    beside = np.min([_from_segment(places, corners[:, k], ahead[:, k]) for k in range(3)], axis=0)
-    return np.where(inside, heights / np.where(inside, lengths, 1.0), beside)
 
 
 def _finished(sheet: Sheet, made: _Filled) -> Tessellation:
