@@ -80,14 +80,9 @@ def rows(cases: Sequence[Case], seeds: int, pool: Executor) -> Iterator[str]:
         asked += case.bound > 0.0
         kept += case.bound > 0.0 and good >= case.bound * seeds
         yield row(case, verdicts, answers, good)
-    yield (
-        f"{'all':41}{sum(totals.values()):5}"
-        + f"{totals[Answer.RIGHT]:7}"
-        + " " * 6
-        + (
-            f"{totals[Answer.AMBIGUOUS]:7}{totals[Answer.WRONG]:6}   {kept} of {asked} rows keep their bound"
-        )
-    )
+    line = f"{'all':41}{sum(totals.values()):5}{totals[Answer.RIGHT]:7}" + " " * 6
+    line += f"{totals[Answer.AMBIGUOUS]:7}{totals[Answer.WRONG]:6}"
+    yield f"{line}   {kept} of {asked} rows keep their bound"
 
 
 def row(case: Case, verdicts: list[Verdict], answers: Counter[Answer], good: int) -> str:
@@ -127,8 +122,10 @@ def sets() -> list[Case]:
     for band, per in SETTINGS:
         found += [
             Case("annulus", [ellipse(50, 50), ellipse(30, 30)], band, per, bound=0.99),
-            Case("tube and handle", [ellipse(40, 40), ellipse(9, 6, (58, 0))], band, per, bound=0.99),
-            Case("three discs", [ellipse(25, 25), ellipse(15, 15, (60, 0)), ellipse(20, 10, (10, 60))],
+            Case("tube and handle", [ellipse(40, 40), ellipse(9, 6, (58, 0))], band, per,
+                 bound=0.99),
+            Case("three discs",
+                 [ellipse(25, 25), ellipse(15, 15, (60, 0)), ellipse(20, 10, (10, 60))],
                  band, per, bound=0.99),
             Case("open L", corner(), band, per, bound=0.99),
             Case("open S", letter_s(20), band, per, bound=0.99),

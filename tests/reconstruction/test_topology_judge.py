@@ -70,7 +70,7 @@ def test_pieces_are_wrong_unless_they_are_all_in_doubt() -> None:
 def test_what_runs_elsewhere_or_back_or_leaves_out_or_hides_a_gap_is_wrong() -> None:
     nodes = nodes_of(GAP)
     swapped = nodes.copy()
-    swapped[50:60] = swapped[50:60][::-1]
+    swapped[50:60] = swapped[50:60][::-1]  # to and fro within 9 mm, more than the band
     bulging = nodes.copy()
     bulging[80] *= 1.04
     shortened = np.delete(nodes, slice(100, 115), axis=0)

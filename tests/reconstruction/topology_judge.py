@@ -96,8 +96,9 @@ def _strays_from(chain: Chain, outline: Outline, scene: Scene, *, whole: bool) -
     if off.max() > band:
         return f"a place lies {off.max():.2f} mm off"
     steps = _steps(nearest[~in_gap], outline, around=closed)
-    if steps.min(initial=0.0) < -band:
-        return f"it runs back by {-steps.min():.2f} mm"
+    back = _back(steps)
+    if back > band:
+        return f"it runs back by {back:.2f} mm"
     if (
         outline.closed
         and closed
@@ -148,6 +149,12 @@ def _steps(nearest: IntArray, outline: Outline, *, around: bool) -> FloatArray:
         half = len(outline.points_mm) / 2
         steps = np.mod(steps + half, 2 * half) - half
     return STEP_MM * steps * (np.sign(np.median(np.sign(steps[steps != 0]))) or 1.0)
+
+
+def _back(steps: FloatArray) -> float:
+    """The longest way back, over as many steps as it takes."""
+    reached = np.concatenate([[0.0], steps.cumsum()])
+    return float((np.maximum.accumulate(reached) - reached).max())
 
 
 def _longest(outline: Outline, seen: BoolArray, feet: IntArray, *, closed: bool) -> float:
