@@ -25,25 +25,35 @@ from reconstruction.fitting.section import fit_section, resolve_section
 from reconstruction.slicing import cut_cloud
 from reconstruction.survey import Axis
 from tests.reconstruction.topology_cases import (
+    Outline,
     arc,
-    cloud,
     corner,
     ellipse,
-    signed_area,
+    scene,
     superformula,
-    with_outliers,
 )
 
 BAND_MM = 0.5
 
 
-def annulus(rng: np.random.Generator, *, wall_mm: float = 12.0) -> FloatArray:
-    sides = [cloud(ellipse(r, r), rng, per_mm=8.0, band_mm=BAND_MM) for r in (40.0, 40.0 - wall_mm)]
-    return rng.permutation(np.vstack(sides))
+def cloud(outlines: Outline | list[Outline], rng: np.random.Generator, *, per_mm: float = 8.0,
+          band_mm: float = BAND_MM, outliers: float = 0.0) -> FloatArray:  # fmt: skip
+    return scene(outlines, rng, per_mm=per_mm, band_mm=band_mm, outliers=outliers).points_mm
+
+
+def moved(outline: Outline, *by_mm: float) -> Outline:
+    return Outline(outline.points_mm + np.array(by_mm), closed=outline.closed)
+
+
+def annulus(
+    rng: np.random.Generator, *, wall_mm: float = 12.0, outliers: float = 0.0
+) -> FloatArray:
+    return cloud([ellipse(r, r) for r in (40.0, 40.0 - wall_mm)], rng, outliers=outliers)
 
 
 def area(curve: FittedCurve) -> float:
-    return signed_area(curve(np.linspace(*curve.domain, 2000, endpoint=False)))
+    x, y = curve(np.linspace(*curve.domain, 2000, endpoint=False)).T
+    return float(0.5 * (x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
 
 
 @pytest.fixture
@@ -68,18 +78,12 @@ def test_loops_come_before_runs_and_the_larger_before_the_smaller(
     rng: np.random.Generator,
 ) -> None:
     pieces = [
-        cloud(corner() + np.array([100.0, 0.0]), rng, per_mm=8.0, band_mm=BAND_MM, closed=False),
-        cloud(ellipse(8.0, 8.0, (-60.0, 0.0)), rng, per_mm=8.0, band_mm=BAND_MM),
-        cloud(
-            arc(20.0, 120.0) + np.array([0.0, 150.0]),
-            rng,
-            per_mm=8.0,
-            band_mm=BAND_MM,
-            closed=False,
-        ),
-        cloud(ellipse(30.0, 20.0), rng, per_mm=8.0, band_mm=BAND_MM),
+        moved(corner(), 100.0, 0.0),
+        ellipse(8.0, 8.0, (-60.0, 0.0)),
+        moved(arc(20.0, 120.0), 0.0, 150.0),
+        ellipse(30.0, 20.0),
     ]
-    found = resolve_section(rng.permutation(np.vstack(pieces)))
+    found = resolve_section(cloud(pieces, rng))
     assert [curve.closed for curve in found.curves] == [True, True, False, False]
     assert found.depths == (0, 0, 0, 0)
     sizes = [abs(area(curve)) for curve in found.curves[:2]]
@@ -89,7 +93,7 @@ def test_loops_come_before_runs_and_the_larger_before_the_smaller(
 
 
 def test_every_point_is_accounted_for_once(rng: np.random.Generator) -> None:
-    points = with_outliers(annulus(rng), rng, 0.02)
+    points = annulus(rng, outliers=0.02)
     found = resolve_section(points)
     fitted = sum(curve.points_used + curve.outliers for curve in found.curves)
     assert fitted + len(found.strays) + len(found.unordered) == len(points)
@@ -159,7 +163,7 @@ def test_a_curve_that_is_not_finite_is_none(
 def test_points_that_are_all_of_one_chain_are_not_copied(
     rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    points, given = cloud(ellipse(40.0, 30.0), rng, per_mm=40.0, band_mm=BAND_MM), []
+    points, given = cloud(ellipse(40.0, 30.0), rng, per_mm=40.0), []
     real = section.fit_chain
 
     def noting(points: FloatArray, chain: Chain, *, exact: Exact, heights_mm: None) -> FittedCurve:
