@@ -13,6 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from loftscan.cad_files import CadWriter
+from loftscan.methods import AnyReconstruction, AnySection
 from loftscan.sliced import Sliced
 from reconstruction.arrays import FloatArray
 from reconstruction.comparison import Deviation
@@ -27,8 +28,6 @@ from reconstruction.exporting import (
 )
 from reconstruction.meshing import Mesh
 from reconstruction.nurbs import Surface
-from reconstruction.pipeline import Reconstruction
-from reconstruction.sections import Section
 
 FORMATS = ("step", "3dm", "stl", "ply", "glb")
 _LIBRARY_OF = {"step": "OCP", "3dm": "rhino3dm"}
@@ -54,7 +53,7 @@ class Result:
     """
 
     name: str
-    reconstruction: Reconstruction
+    reconstruction: AnyReconstruction
     cutting: Sliced  # a `Cutting` of a cloud, or what was `Gathered` from a scan
     sample_mm: FloatArray  # (k, 3) an even sample of the measured points used
     deviation: Deviation  # of that sample from the mesh
@@ -64,11 +63,11 @@ class Result:
 
     @property
     def surface(self) -> tuple[Surface, ...]:
-        """The tensor patches, one a run of sections of equal count."""
+        """The tensor patches: one a run of sections of equal count, or one a branch."""
         return self.reconstruction.patches
 
     @property
-    def sections(self) -> tuple[Section, ...]:
+    def sections(self) -> tuple[AnySection, ...]:
         """The sections, from the lowest up."""
         return self.reconstruction.sections
 
@@ -145,13 +144,14 @@ class Result:
                 index=section.index,
                 height_mm=section.height_mm,
                 frame=section.frame,
-                curve=section.curve,
-                gaps=section.gaps,
-                residual_rms_mm=section.residual.rms_mm if section.residual.count else None,
-                residual_max_mm=section.residual.max_mm if section.residual.count else None,
-                points=section.residual.count,
+                curve=drawn.curve,
+                gaps=drawn.gaps,
+                residual_rms_mm=drawn.residual_rms_mm if drawn.points else None,
+                residual_max_mm=drawn.residual_max_mm if drawn.points else None,
+                points=drawn.points,
             )
             for section in self.sections
+            for drawn in section.curves
         ]
 
 
