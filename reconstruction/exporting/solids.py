@@ -250,7 +250,10 @@ def _checked(shape: Any, volume_mm3: float | None) -> Solidity:  # noqa: ANN401
     if not all(each.Closed() for each in _parts(shape, TopAbs_SHELL)):
         raise _NoSolid("joined, the bodies leave an open shell")
     _expect_valid(shape, "the joined solid")
-    found = sum(_volume_mm3(solid) for solid in solids)
+    volumes = [_volume_mm3(solid) for solid in solids]
+    if not min(volumes) > 0.0:
+        raise _NoSolid("a solid is flat or inside out")
+    found = sum(volumes)
     if volume_mm3 is not None and abs(found - volume_mm3) > _VOLUMES_AGREE * abs(volume_mm3):
         raise _NoSolid(
             f"the solid holds {found:.6g} mm3 and the mesh {volume_mm3:.6g}: not the same part"
@@ -263,8 +266,6 @@ def _expect_valid(shape: Any, what: str) -> None:  # noqa: ANN401
 
     if not BRepCheck_Analyzer(shape).IsValid():
         raise _NoSolid(f"{what} fails Open CASCADE's own check (BRepCheck)")
-    if not _volume_mm3(shape) > 0.0:
-        raise _NoSolid(f"{what} holds no volume")
 
 
 def _volume_mm3(shape: Any) -> float:  # noqa: ANN401

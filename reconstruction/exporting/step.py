@@ -99,7 +99,8 @@ def write_step_solid(
     """Write one closed solid for each outer shell of a part; its cavities are voids in there.
 
     Only solids that Open CASCADE's BRepCheck calls valid are written as such. Where there are none,
-    the file has the patches as `write_step` writes them, and the value returned says why.
+    the file has the patches as `write_step` writes them, and the value returned says why. BRepCheck
+    does not see a wall that crosses itself; nor does this.
 
     Parameters
     ----------
