@@ -2,8 +2,8 @@
 
 The shortest tree that spans the points of one well sampled run is a path but for twigs of a point
 or two; the twigs are put where they lengthen the path least, and crossings undone (2-opt). Longer
-branches are runs of their own. Where
-the noise is wider than the spacing the tree is bushy and this gives up: bands are for `linking`.
+branches are runs of their own. Where the noise is wider than the spacing the tree is bushy and this
+gives up: bands are for `linking`.
 """
 
 from __future__ import annotations
@@ -177,7 +177,7 @@ def _insert(places: FloatArray, path: list[int], one: int) -> None:
 
 @njit(cache=True, nogil=True)
 def _uncross(places: FloatArray, order: IntArray) -> None:
-    """Turn stretches around and move single places while that shortens the way."""
+    """Turn stretches around while that shortens the way."""
     count = len(order)
     for _ in range(50):
         better = False

@@ -16,6 +16,7 @@ from scipy.ndimage import median_filter
 from scipy.spatial import cKDTree
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
+from reconstruction.fitting.hooks import without_hooks
 from reconstruction.fitting.regression import EXACT, FAR, STEP, WINDOW, regress
 from reconstruction.fitting.stretches import gaps_among, grid_between
 from reconstruction.fitting.support import Nodes, levelled
@@ -73,7 +74,7 @@ def thin(
     if count == len(places) and _is_exact(places, row):
         at = np.argsort(slots)
         return _as_they_are(places[at], row), np.zeros(2, np.int64)
-    return row, _far_off(places, row, at, scatter)
+    return _unhooked(row), _far_off(places, row, at, scatter)
 
 
 def thin_again(places: FloatArray, row: Row) -> Row:
@@ -81,7 +82,14 @@ def thin_again(places: FloatArray, row: Row) -> Row:
     at = _nearest_ways(places, row)
     if row.exact:
         return _as_they_are(places[np.argsort(_lay_along(places, row, at)[0], kind="stable")], row)
-    return _thinned(places, row, at)[0]
+    return _unhooked(_thinned(places, row, at)[0])
+
+
+def _unhooked(row: Row) -> Row:
+    """A row without the hooks at its ends and beside its gaps."""
+    kept = without_hooks(row.nodes, row.reach, row.gaps, closed=row.closed)
+    gaps = _gaps_among(kept, row.gaps, closed=row.closed)
+    return Row(row.nodes[kept], row.sigma[kept], row.reach[kept], row.closed, gaps)
 
 
 def _nearest_ways(places: FloatArray, row: Row) -> IntArray:
