@@ -6,15 +6,14 @@ bridge's way; on a long bridge there must be more than the strays of the slice e
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
-from numba import njit
 
 from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.fitting.closing import Joined
 from reconstruction.fitting.crossing import ways_along
+from reconstruction.fitting.nearness import nearest_way
 from reconstruction.fitting.places import Places
 from reconstruction.fitting.scale import Order
 from reconstruction.fitting.thinning import Row
@@ -94,23 +93,3 @@ class _Ways:
         self.chain = kinds[:, 0].astype(np.int64)
         self.short = kinds[:, 1] <= _SHORT * reach[first]
         self.tube = 2.0 * self.tolerance[first] * kinds[:, 1]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def nearest_way(
-    places: FloatArray, starts: FloatArray, arms: FloatArray
-) -> tuple[IntArray, FloatArray]:
-    """Nearest way of each place, and how far off it is."""
-    way, away = np.zeros(len(places), np.int64), np.empty(len(places))
-    for n in range(len(places)):
-        best = np.inf
-        for k in range(len(starts)):
-            x, y = places[n, 0] - starts[k, 0], places[n, 1] - starts[k, 1]
-            square = arms[k, 0] * arms[k, 0] + arms[k, 1] * arms[k, 1]
-            share = (x * arms[k, 0] + y * arms[k, 1]) / max(square, 1e-300)
-            share = min(max(share, 0.0), 1.0)
-            x, y = x - share * arms[k, 0], y - share * arms[k, 1]
-            if x * x + y * y < best:
-                best, way[n] = x * x + y * y, k
-        away[n] = math.sqrt(best)
-    return way, away

@@ -87,7 +87,7 @@ def thin_again(places: FloatArray, row: Row) -> Row:
 
 def _unhooked(row: Row) -> Row:
     """A row without the hooks at its ends and beside its gaps."""
-    kept = without_hooks(row.nodes, row.reach, row.gaps, closed=row.closed)
+    kept = without_hooks(row.nodes, row.sigma, row.reach, row.gaps, closed=row.closed)
     gaps = _gaps_among(kept, row.gaps, closed=row.closed)
     return Row(row.nodes[kept], row.sigma[kept], row.reach[kept], row.closed, gaps)
 

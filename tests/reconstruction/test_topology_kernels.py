@@ -16,8 +16,8 @@ from reconstruction.arrays import FloatArray
 from reconstruction.fitting.cells import bounds, heap_up
 from reconstruction.fitting.crossing import _first_crossing, crossings
 from reconstruction.fitting.frames import frames
-from reconstruction.fitting.gathering import nearest_way
 from reconstruction.fitting.linking import _flood, apart, link, neighbours_of
+from reconstruction.fitting.nearness import nearest_way
 from reconstruction.fitting.regression import _NOTHING, _parabola, regress
 from reconstruction.fitting.spanning import _uncross, span, spanning_tree
 from reconstruction.fitting.thinning import _project

@@ -18,7 +18,7 @@ from reconstruction.fitting.thinning import Row, _nearest_ways, thin_again
 from tests.reconstruction.topology_cases import campaign_shapes, scene
 
 STEM = np.stack([np.arange(0.0, 20.0, 0.5), np.zeros(40)], axis=1)
-HOOK = np.array([[0.9, 0.5], [0.5, 0.6], [0.0, 0.5], [-0.2, 0.2]])
+HOOK = np.array([[0.9, 0.3], [0.5, 0.35], [0.0, 0.3], [-0.2, 0.15]])
 
 
 def row_of(nodes: FloatArray, *, sigma: float = 0.1, closed: bool = False) -> Row:
@@ -26,7 +26,9 @@ def row_of(nodes: FloatArray, *, sigma: float = 0.1, closed: bool = False) -> Ro
 
 
 def kept_of(nodes: FloatArray, gaps: tuple[int, ...] = (), *, closed: bool = False) -> list[bool]:
-    return without_hooks(nodes, np.ones(len(nodes)), gaps, closed=closed).tolist()
+    return without_hooks(
+        nodes, np.full(len(nodes), 0.1), np.ones(len(nodes)), gaps, closed=closed
+    ).tolist()
 
 
 def test_a_straight_row_keeps_all_its_nodes() -> None:
@@ -40,6 +42,11 @@ def test_a_hook_at_an_end_is_left_out_up_to_its_outmost_node(turned: bool) -> No
     if turned:
         nodes, expected = nodes[::-1], expected[::-1]
     assert kept_of(nodes) == expected
+
+
+def test_a_corner_beyond_which_the_band_goes_on_is_no_hook() -> None:
+    corner = np.array([[0.8, 1.6], [0.4, 1.2], [0.0, 0.8], [-0.2, 0.4]])
+    assert all(kept_of(np.vstack([corner, STEM])))
 
 
 def test_hooks_beside_a_gap_are_left_out_also_over_the_seam_of_a_loop() -> None:
