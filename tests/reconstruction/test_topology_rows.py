@@ -10,11 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from reconstruction.arrays import FloatArray
+from reconstruction.fitting.bridging import bridges_between, ends_of
 from reconstruction.fitting.closing import join
 from reconstruction.fitting.hooks import without_hooks
 from reconstruction.fitting.places import look_at
 from reconstruction.fitting.sight import look_around
 from reconstruction.fitting.thinning import Row, _nearest_ways, thin_again
+from reconstruction.fitting.topology import find_chains
 from tests.reconstruction.topology_cases import campaign_shapes, scene
 
 STEM = np.stack([np.arange(0.0, 20.0, 0.5), np.zeros(40)], axis=1)
@@ -123,6 +125,39 @@ def test_it_is_not_if_a_nearer_end_would_do_nearly_as_well() -> None:
     joined = join(rows)
     assert len(joined) == 3
     assert all(one.ambiguous for one in joined[:2])
+
+
+@pytest.mark.parametrize("end", [0, 1])
+def test_a_run_goes_on_after_a_hole_in_its_last_few_points(end: int) -> None:
+    rng = np.random.default_rng(0)
+    beyond = [62.0, 62.2, 62.3, 62.4, 62.6, 62.8]
+    along = np.concatenate([rng.uniform(0.0, 60.0, 300), beyond])
+    along = along if end else 62.8 - along
+    points = np.stack([along, rng.uniform(-0.25, 0.25, len(along))], axis=1)
+    found = find_chains(points)
+    (chain,) = found.chains
+    assert (found.chain_of_point[-6:] == 0).all()
+    # The run before the hole is 60 mm long; nodes end within a reach of the last points.
+    assert np.ptp(chain.nodes_mm[:, 0]) > 61.0
+
+
+def test_a_stray_ahead_of_a_run_is_a_stray() -> None:
+    rng = np.random.default_rng(5)
+    band = np.stack([rng.uniform(0.0, 60.0, 300), rng.uniform(-0.25, 0.25, 300)], axis=1)
+    found = find_chains(np.vstack([band, [[62.5, 0.1]]]))
+    assert found.strays.tolist() == [300]
+    assert found.chains[0].nodes_mm[:, 0].max() < 61.0
+
+
+def test_ends_beside_a_corner_turn_by_its_angle_and_ends_aside_of_each_other_by_an_s() -> None:
+    corner = [straight((0, 1.3), (0, 30)), straight((1.3, 0), (30, 0))]
+    assert bridges_between(corner, ends_of(corner))[0].turn == pytest.approx(math.pi / 2)
+    step = [straight((0, 1.6), (-30, 1.6)), straight((0.6, 0), (30, 0))]
+    # Aside by 1.6 of 1.71, of which the scatter explains 0.3: an S of 49.5 degrees.
+    angle = math.asin(1.3 / math.hypot(0.6, 1.6))
+    assert bridges_between(step, ends_of(step))[0].turn == pytest.approx(math.sqrt(12.0) * angle)
+    assert len(join(corner)) == 1
+    assert len(join(step)) == 2
 
 
 def test_a_piece_of_band_among_strays_is_no_patch() -> None:
