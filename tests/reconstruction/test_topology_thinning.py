@@ -1,4 +1,4 @@
-"""The kernels that thin a run to a row, beside naive twins: feet on it, parabolas in its windows."""
+"""What thins a run to a row, beside naive twins: feet on it, parabolas in its windows."""
 
 from __future__ import annotations
 
