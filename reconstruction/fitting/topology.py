@@ -23,6 +23,7 @@ from reconstruction.fitting.cells import Int32Array, bounds
 from reconstruction.fitting.chain import Chain
 from reconstruction.fitting.closing import Joined, join
 from reconstruction.fitting.crossing import Strand, uncross
+from reconstruction.fitting.crowding import is_crowded
 from reconstruction.fitting.gathering import gather, nearest_row
 from reconstruction.fitting.places import Places, look_at
 from reconstruction.fitting.scale import Order, order
@@ -104,8 +105,11 @@ def _joined(places: Places, found: Order) -> tuple[list[Joined], IntArray]:
     sampled = found.runs.run_of_place[places.place_of_sample]
     held = np.bincount(sampled[sampled >= 0], minlength=len(found.rows))
     chain_of_run = np.where(held >= _HEAP, UNORDERED, STRAY)
-    numbers = [number for number, row in enumerate(found.rows) if row is not None]
-    joined = join([row for row in found.rows if row is not None])
+    numbers = [
+        number for number, row in enumerate(found.rows)
+        if row is not None and not is_crowded(row, places.sample)
+    ]  # fmt: skip
+    joined = join([row for number in numbers if (row := found.rows[number]) is not None])
     chain_of_run[numbers] = STRAY
     for chain, one in enumerate(joined):
         chain_of_run[[numbers[member] for member in one.members]] = chain
