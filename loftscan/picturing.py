@@ -171,7 +171,7 @@ def deviation_at_vertices(result: Result) -> FloatArray:
         return np.full(len(result.mesh.vertices_mm), np.nan)
     count = min(_NEAREST, len(result.sample_mm))
     tree, each = cKDTree(result.sample_mm), np.arange(1, count + 1)
-    away, nearest = tree.query(result.mesh.vertices_mm, k=each)
+    away, nearest = (np.asarray(v) for v in tree.query(result.mesh.vertices_mm, k=each))
     values = result.deviation.distances_mm[nearest]
     # Half-way between two slices a vertex is farthest from all points.
     reach = _REACH_STEPS * result.cutting.spacing.step_mm

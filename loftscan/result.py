@@ -6,13 +6,14 @@ import errno
 import json
 import os
 import shutil
+import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from loftscan.cad_files import CadWriter
+from loftscan.cad_files import CadWriter, SolidOrder
 from loftscan.methods import AnyReconstruction, AnySection
 from loftscan.sliced import Sliced
 from reconstruction.arrays import FloatArray
@@ -20,12 +21,14 @@ from reconstruction.comparison import Deviation
 from reconstruction.errors import MissingExtra
 from reconstruction.exporting import (
     SectionRecord,
+    bodies_of,
     write_glb,
     write_ply,
     write_sections_json,
     write_stl,
     write_surface_json,
 )
+from reconstruction.fit_pipeline import FittedReconstruction
 from reconstruction.meshing import Mesh
 from reconstruction.nurbs import Surface
 
@@ -38,6 +41,10 @@ _OURS = {
     *("metrics.json", "provenance.json", "comparison.json", "deviation.ply"),
 }
 _SIDECAR = "mesh.stl carries no unit; its coordinates are millimetres.\n"
+
+
+class NoSolid(UserWarning):
+    """The surfaces of a result are written, but they are no solid that CAD calls valid."""
 
 
 class OutputExists(ValueError):  # noqa: N818 (the house names errors after the fact)
@@ -116,10 +123,12 @@ class Result:
     def _write_rest(self, folder: Path, formats: tuple[str, ...], cad: CadWriter) -> None:
         from loftscan.reporting import write_result_report
 
-        cad.write(folder, name=self.name)
+        cad.write(folder, name=self.name, solid=_solid_of(self.reconstruction))
         self._write_meshes(folder, formats)
         write_result_report(folder / "report.html", self)
-        cad.finish()
+        for reason in cad.finish():
+            message = f"surface.step holds open shells, no solid: {reason}"
+            warnings.warn(message, NoSolid, stacklevel=4)
 
     def _write_json_files(self, folder: Path) -> None:
         name, said = self.name, self.provenance
@@ -153,6 +162,18 @@ class Result:
             for section in self.sections
             for drawn in section.curves
         ]
+
+
+def _solid_of(done: AnyReconstruction) -> SolidOrder | None:
+    """How the surfaces of branches enclose the part; the paper's patches enclose nothing."""
+    if not isinstance(done, FittedReconstruction):
+        return None
+    bodies = bodies_of(done.skinned.skins)
+    return SolidOrder(
+        holes=tuple(body.hole for body in bodies),
+        closings=tuple(body.closing.value for body in bodies),
+        volume_mm3=done.cleaned.before.volume_mm3,
+    )
 
 
 def _write_json(path: Path, content: dict[str, object]) -> None:
