@@ -98,7 +98,6 @@ def test_what_is_measured_of_it_is_said(made: Result) -> None:
     assert numbers["points_in"] == points
     assert numbers["residual_points"] + numbers["points_left_out"] == points
     assert made.provenance["settings"]["method"] == "fit"  # type: ignore[index]
-    (ends,) = made.warnings
     *doubts, ends = made.warnings
     assert [doubt.split(":")[0] for doubt in doubts] == ["slice 4", "slice 5", "slice 6"]
     assert all("may be closed or open: closed" in doubt for doubt in doubts)
