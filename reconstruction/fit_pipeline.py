@@ -5,13 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
+from typing import ClassVar
 
 import numpy as np
 
 from reconstruction.arrays import FloatArray
 from reconstruction.cleanup import Cleaned, CleanupSettings, clean
 from reconstruction.course import Remedy, too_few
-from reconstruction.fitted_sections import FittedSection, draw_fitted_section, explain_nothing
+from reconstruction.fitted_sections import (
+    LEFT_OUT_SIGMAS,
+    FittedSection,
+    draw_fitted_section,
+    explain_nothing,
+)
 from reconstruction.fitting.curve import Exact
 from reconstruction.meshing import Mesh
 from reconstruction.nurbs import Surface
@@ -25,6 +31,9 @@ from reconstruction.slices import Slice
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedReconstruction:
     """Everything that became of the slices."""
+
+    REACH: ClassVar = f"{LEFT_OUT_SIGMAS:g} standard deviations"  # as in `pipeline`
+    SIGMA_RULE: ClassVar = "sigma of points across curves"
 
     sections: tuple[FittedSection, ...]
     skipped: tuple[Skipped, ...]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import reduce
+from typing import ClassVar
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from reconstruction.course import OF_A_CLOUD, Remedy, run_course, too_few
 from reconstruction.lofting import lay_rows, loft_run, split_runs
 from reconstruction.meshing import Mesh, mesh_rows
 from reconstruction.nurbs import Surface
-from reconstruction.paper import Base, PaperSettings, draw_section
+from reconstruction.paper import LEFT_OUT_CELLS, Base, PaperSettings, draw_section
 from reconstruction.sections import Residual, Section, Skipped
 from reconstruction.slices import Slice
 
@@ -25,6 +26,9 @@ _GRAZING_TIMES = 2.0  # and how much more synthetic than a typical section
 @dataclass(frozen=True, slots=True, eq=False)
 class Reconstruction:
     """Everything that became of the slices."""
+
+    REACH: ClassVar = f"{LEFT_OUT_CELLS:g} cells"  # points farther from their curve are left out
+    SIGMA_RULE: ClassVar = "sigma from local parabolas"
 
     sections: tuple[Section, ...]
     skipped: tuple[Skipped, ...]
