@@ -30,7 +30,7 @@ from reconstruction.survey import Axis
 
 _REMEDY = Remedy(
     "scan more slices",
-    "Look whether the sensor sees the part all round, or try another --resolution-mm",
+    "Look whether the sensor sees the part all round",
 )
 
 

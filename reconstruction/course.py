@@ -28,9 +28,7 @@ class Remedy:
     other_settings: str  # where slices gave no section
 
 
-OF_A_CLOUD = Remedy(
-    "choose a smaller --spacing-mm", "Try another --axis, --spacing-mm or --resolution-mm"
-)
+OF_A_CLOUD = Remedy("choose a smaller --spacing-mm", "Try another --axis or --spacing-mm")
 
 
 class Course(Protocol[S, R]):

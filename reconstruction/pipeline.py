@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from typing import ClassVar
 
@@ -99,7 +99,8 @@ class PaperCourse:
         every = [*skipped, *trimmed]
         if len(sections) < 2:
             indices = [section.index for section in sections]
-            raise too_few("section", indices, indices, every, remedy)
+            finer = f"{remedy.other_settings}, or try another --resolution-mm"
+            raise too_few("section", indices, indices, every, replace(remedy, other_settings=finer))
         return loft(sections, every, self._settings, self._cleanup)
 
 
