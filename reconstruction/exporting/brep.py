@@ -15,7 +15,7 @@ import numpy as np
 from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.errors import MissingExtra
 from reconstruction.exporting.knots import DistinctKnots, distinct, flat
-from reconstruction.nurbs import clamped_along
+from reconstruction.nurbs import Along, clamped_along
 from reconstruction.nurbs.values import Surface
 
 
@@ -156,8 +156,8 @@ def _direction(surface: Surface, way: str) -> DistinctKnots:
 
 def _clamped(surface: Surface) -> Surface:
     if not surface.periodic_u:
-        surface = clamped_along(surface, "u")
-    return surface if surface.periodic_v else clamped_along(surface, "v")
+        surface = clamped_along(surface, Along.U)
+    return surface if surface.periodic_v else clamped_along(surface, Along.V)
 
 
 def shell_of(face: Any) -> Any:  # noqa: ANN401
