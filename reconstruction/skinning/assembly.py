@@ -17,7 +17,14 @@ from numba import njit
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray, frozen
 from reconstruction.skinning.blocks import Blocks
-from reconstruction.skinning.net import Basis, Net, basis_at, derivatives_at, greville, unit_normals
+from reconstruction.skinning.net import (
+    Basis,
+    Net,
+    basis_of_spans,
+    derivatives_at,
+    greville,
+    unit_normals,
+)
 
 _OPEN_ROWS = 3  # net rows a block
 _FOLDED_ROWS = 6
@@ -25,6 +32,8 @@ _ENTRIES = 7  # of a row of the stiffness: four control points, or three and an 
 _APEX = 3  # unknowns of an apex: it moves freely
 _FIRM = 1e3
 _NOTHING = 1e-300
+_RIDGE = 0.02
+_BEFORE = 1e-6  # a crease, where the face before it is meant
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,6 +108,7 @@ def _grevilles(net: Net) -> tuple[FloatArray, FloatArray]:
     count_u, count_v = net.control_mm.shape[:2]
     u, v = greville(net.knots_u, count_u), greville(net.knots_v, count_v)
     end_u, end_v = net.spans
+    u[net.crease_columns[:, 0]] -= _BEFORE
     u = np.mod(u, end_u) if net.closed_u else u
     v = np.mod(v, end_v) if net.closed_v else v
     # Beside an apex the normal is looked for a little inside.
@@ -123,10 +133,8 @@ def stiffness_rows(net: Net, unknowns: Unknowns) -> tuple[Rows, Rows]:
 
 def _rows_along(net: Net, unknowns: Unknowns, knots: FloatArray, *, along_u: bool) -> Rows:
     """A row for every span in one direction and every control point of the other."""
-    closed = net.closed_u if along_u else net.closed_v
     spans = int(net.spans[0] if along_u else net.spans[1])
-    at_knots = np.arange(spans + 1, dtype=np.float64)
-    basis = basis_at(np.mod(at_knots, spans) if closed else at_knots, knots, 2, closed=closed)
+    basis = basis_of_spans(knots)
     numbers, slopes, values = _changes(
         net.control_mm, unknowns.directions, unknowns.place, net.apex, basis.first, basis.values,
         along_u=along_u,
@@ -146,16 +154,16 @@ def _changes(
 ) -> tuple[IntArray, FloatArray, FloatArray]:  # fmt: skip
     count_u, count_v = control.shape[:2]
     count, others = (count_u, count_v) if along_u else (count_v, count_u)
-    spans = len(firsts) - 1
+    spans = len(firsts) // 2
     numbers = np.full((spans * others, _ENTRIES), -1, np.int64)
     slopes, values = np.zeros((spans * others, _ENTRIES)), np.zeros(spans * others)
-    bends, speeds = np.zeros(spans + 1), np.zeros(spans + 1)
-    parts, tips = np.zeros((spans + 1, 4)), np.zeros((spans + 1, 4, 3))
+    bends, speeds = np.zeros(2 * spans), np.zeros(2 * spans)
+    parts, tips = np.zeros((2 * spans, 4)), np.zeros((2 * spans, 4, 3))
     line, ways = np.empty((4, 3)), np.empty((4, 3))
     for other in range(others):
         if along_u and apex[other]:
             continue
-        for t in range(spans + 1):
+        for t in range(2 * spans):
             for k in range(4):
                 at = (firsts[t] + k) % count
                 i, j = (at, other) if along_u else (other, at)
@@ -164,22 +172,21 @@ def _changes(
         typical = speeds.mean()
         for span in range(spans):
             row = span * others + other if along_u else other * spans + span
-            scale = typical * 0.5 * (speeds[span] + speeds[span + 1])
-            values[row] = scale * (bends[span + 1] - bends[span])
+            scale = typical * 0.5 * (speeds[2 * span] + speeds[2 * span + 1])
+            values[row] = scale * (bends[2 * span + 1] - bends[2 * span])
             for end in range(2):
                 sign = scale if end else -scale
-                t = span + end
+                t = 2 * span + end
                 for k in range(4):
-                    place_in = (firsts[t] - firsts[span]) % count + k
                     at = (firsts[t] + k) % count
                     i, j = (at, other) if along_u else (other, at)
                     if apex[j]:
                         for d in range(3):
                             numbers[row, 4 + d] = place[j] * count_u + d
                             slopes[row, 4 + d] += sign * tips[t, k, d]
-                    elif place_in < 4:
-                        numbers[row, place_in] = place[j] * count_u + i
-                        slopes[row, place_in] += sign * parts[t, k]
+                    else:
+                        numbers[row, k] = place[j] * count_u + i
+                        slopes[row, k] += sign * parts[t, k]
     return numbers, slopes, values
 
 
@@ -479,4 +486,26 @@ def applied(net: Net, unknowns: Unknowns, moves: FloatArray) -> FloatArray:
         if net.apex[j]:
             start = unknowns.place[j] * width
             control[:, j] = net.control_mm[:, j] + moves[start : start + _APEX]
+    _join_creases(net, unknowns, moves[numbers], control)
     return np.asarray(control)
+
+
+def _join_creases(
+    net: Net, unknowns: Unknowns, moves: FloatArray, control_mm: FloatArray
+) -> None:
+    """Put the two columns that end in a crease where both faces have moved to, in place.
+
+    Moves (nu, nv) along one face leave it what it is. A slight ridge keeps the edge between faces
+    that hardly bend from running away; what it holds back comes in the next round.
+    """
+    for before, behind in net.crease_columns:
+        one, other = unknowns.directions[before], unknowns.directions[behind]  # (nv, 3)
+        cosines = (one * other).sum(axis=1)
+        firm = 1.0 + _RIDGE
+        a, b = moves[before], moves[behind]
+        bottom = firm**2 - cosines**2
+        joint = ((firm * a - cosines * b) / bottom)[:, None] * one
+        joint += ((firm * b - cosines * a) / bottom)[:, None] * other
+        edge = net.control_mm[before] + joint
+        edge[net.apex] = control_mm[before][net.apex]
+        control_mm[before] = control_mm[behind] = edge

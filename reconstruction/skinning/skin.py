@@ -9,9 +9,10 @@ import numpy as np
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
 from reconstruction.nurbs import points_and_tangents_at
-from reconstruction.skinning.aligning import Stations, align
+from reconstruction.skinning.aligning import Stations, align, align_between
 from reconstruction.skinning.assembly import variances_across
 from reconstruction.skinning.branch import Branch
+from reconstruction.skinning.creases import find_creases
 from reconstruction.skinning.ends import Apex, Brim, brim_or_apex
 from reconstruction.skinning.feet import nearby
 from reconstruction.skinning.laying import Laid, lay_net
@@ -93,7 +94,14 @@ def skin_branch(branch: Branch, loose: Moments | None = None) -> Skin:
     """
     branch, stations, wild = _aligned(branch)
     outlines = branch.outlines
-    spans = (_spans_around(branch), _spans_along(branch))
+    around = _spans_around(branch)
+    creases = find_creases(outlines, stations)
+    if creases.shape[1]:
+        stations = align_between(
+            outlines, creases, around, _STATIONS_A_SPAN, cyclic=branch.cyclic
+        )
+        around = stations.shares.shape[1] // _STATIONS_A_SPAN
+    spans = (around, _spans_along(branch))
     loose = Moments.together([each for each in (loose, *wild) if each is not None])
     brims = _brims(branch)
     laid = lay_net(outlines, stations, brims, spans)
