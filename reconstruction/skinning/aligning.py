@@ -10,9 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numba import njit
+from scipy.fft import dst, idst
 
 from reconstruction.arrays import FloatArray, IntArray, frozen
 from reconstruction.skinning.outlines import Outline
@@ -106,6 +108,11 @@ def align_between(
     )  # fmt: skip
     pinned = (knots[:-1] - knots[0]) * a_span
     shares = _slide(tables, shares, pinned, _SWEEPS, cyclic=cyclic)
+    borders = [*pinned.tolist(), shares.shape[1]]
+    shares = np.concatenate(
+        [_calmed_face(shares[:, start:end], starts[:, f], faces[:, order[f]])
+         for f, (start, end) in enumerate(pairwise(borders))], axis=1,
+    )  # fmt: skip
     # From the first edge on to the seam: the last stations come first, a turn before.
     turned = int(knots[0]) * a_span
     shares = np.concatenate([shares[:, -turned:] - 1.0, shares[:, :-turned]], axis=1)
@@ -202,6 +209,18 @@ def _calmed(shares: FloatArray) -> FloatArray:
     return np.asarray(even + away * np.minimum(1.0, most / np.maximum(narrow, 1e-300)))
 
 
+def _calmed_face(shares: FloatArray, starts: FloatArray, faces: FloatArray) -> FloatArray:
+    """The same between two edges, (k, n) stations from the first edge on."""
+    count = shares.shape[1]
+    even = _even(starts, faces, count)
+    waves = dst((shares - even)[:, 1:], type=1, axis=1)
+    waves[:, max(count // _SLOW, 1) :] = 0.0
+    away = np.concatenate([np.zeros((len(shares), 1)), idst(waves, type=1, axis=1)], axis=1)
+    narrow = -np.diff(away, axis=1, append=0.0).min(axis=1, keepdims=True)
+    most = (1.0 - _DENSER) * faces[:, None] / count
+    return np.asarray(even + away * np.minimum(1.0, most / np.maximum(narrow, 1e-300)))
+
+
 def _places(tables: FloatArray, shares: FloatArray) -> FloatArray:
     out = np.empty((*shares.shape, 3))
     for k in range(len(tables)):
@@ -227,7 +246,8 @@ def _slide(
 ) -> FloatArray:
     """Slide stations along their outlines towards their four neighbours, evenly weighed.
 
-    `pinned` columns stay. The pull of the neighbours above and below counts in full, that of the ones beside by `_EVEN`.
+    `pinned` columns stay. The pull of the neighbours above and below counts in full, that of the
+    ones beside by `_EVEN`.
     """
     rows, count = shares.shape
     size = tables.shape[1]

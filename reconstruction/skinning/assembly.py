@@ -17,6 +17,7 @@ from numba import njit
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray, frozen
 from reconstruction.skinning.blocks import Blocks
+from reconstruction.skinning.edges import joined
 from reconstruction.skinning.net import (
     Basis,
     Net,
@@ -32,7 +33,6 @@ _ENTRIES = 7  # of a row of the stiffness: four control points, or three and an 
 _APEX = 3  # unknowns of an apex: it moves freely
 _FIRM = 1e3
 _NOTHING = 1e-300
-_RIDGE = 0.02
 _BEFORE = 1e-6  # a crease, where the face before it is meant
 
 
@@ -486,26 +486,6 @@ def applied(net: Net, unknowns: Unknowns, moves: FloatArray) -> FloatArray:
         if net.apex[j]:
             start = unknowns.place[j] * width
             control[:, j] = net.control_mm[:, j] + moves[start : start + _APEX]
-    _join_creases(net, unknowns, moves[numbers], control)
+    if len(net.creases):
+        return joined(net, control, moves[numbers], unknowns.directions)
     return np.asarray(control)
-
-
-def _join_creases(
-    net: Net, unknowns: Unknowns, moves: FloatArray, control_mm: FloatArray
-) -> None:
-    """Put the two columns that end in a crease where both faces have moved to, in place.
-
-    Moves (nu, nv) along one face leave it what it is. A slight ridge keeps the edge between faces
-    that hardly bend from running away; what it holds back comes in the next round.
-    """
-    for before, behind in net.crease_columns:
-        one, other = unknowns.directions[before], unknowns.directions[behind]  # (nv, 3)
-        cosines = (one * other).sum(axis=1)
-        firm = 1.0 + _RIDGE
-        a, b = moves[before], moves[behind]
-        bottom = firm**2 - cosines**2
-        joint = ((firm * a - cosines * b) / bottom)[:, None] * one
-        joint += ((firm * b - cosines * a) / bottom)[:, None] * other
-        edge = net.control_mm[before] + joint
-        edge[net.apex] = control_mm[before][net.apex]
-        control_mm[before] = control_mm[behind] = edge

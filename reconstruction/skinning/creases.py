@@ -1,7 +1,8 @@
 """Creases of a branch: corners of its outlines that follow each other from slice to slice.
 
 A corner that one slice alone shows is noise; one that most of them show, in the same place among
-the stations, is an edge of the part, and passes through the slices that do not show it.
+the stations, is an edge of the part, and passes through the slices that do not show it. What only
+some of them show, as where an edge is blunt beside its noise, the surface itself must prefer.
 """
 
 from __future__ import annotations
@@ -17,8 +18,10 @@ from reconstruction.skinning.outlines import Outline
 
 _NEAR = 1.0 / 24.0  # of the stations, that a corner may lie off the one in the slice before
 _APART = 0.45  # of the way to the nearest other corner, likewise
-_FORGOTTEN = 4  # outlines without it
-_COVERED = 0.6  # of the outlines show an edge
+_FORGOTTEN = 8  # outlines without it
+_SURE = 0.6  # of the outlines show an edge that is certain ...
+_LIKELY = 0.15  # ... and one that is worth a trial
+_FEWEST = 3  # outlines
 _LEAST_FACE = 1.0 / 40.0  # of the stations, between two edges
 
 
@@ -30,22 +33,43 @@ class _Thread:
     columns: list[float] = field(default_factory=list)  # where among the stations
 
 
-def find_creases(outlines: Sequence[Outline], stations: Stations) -> FloatArray:
+def find_creases(outlines: Sequence[Outline], stations: Stations) -> tuple[FloatArray, FloatArray]:
     """Where the edges of a branch cross its outlines: shares of their lengths (k, c).
 
     Shares grow from edge to edge, and may lie beyond 1. Without an edge, c is 0.
+
+    Returns
+    -------
+    sure, likely
+        Edges that most outlines show; and these with those that some do.
     """
+    threads = _threads(outlines, stations)
+    count = len(outlines)
+    sure, likely = (
+        [each for each in threads if len(each.at) >= max(share * count, _FEWEST)]
+        for share in (_SURE, _LIKELY)
+    )
+    return _crossings(sure, stations, count), _crossings(likely, stations, count)
+
+
+def _threads(outlines: Sequence[Outline], stations: Stations) -> list[_Thread]:
+    """Every corner with those that it goes on in."""
     count = stations.shares.shape[1]
     threads: list[_Thread] = []
     for k, outline in enumerate(outlines):
         corners = shares_along(outline, np.array(outline.fitted.creases))
         columns = stations.columns_of(k, corners)
         _follow(threads, k, np.sort(columns), count)
-    edges = [each for each in threads if len(each.at) >= _COVERED * len(outlines)]
-    found = np.empty((len(outlines), len(edges)))
+    return threads
+
+
+def _crossings(edges: list[_Thread], stations: Stations, outlines: int) -> FloatArray:
+    """Shares (k, c) at which followed corners cross every outline, in order around."""
+    count = stations.shares.shape[1]
+    found = np.empty((outlines, len(edges)))
     for number, each in enumerate(edges):
         turns = np.unwrap(each.columns, period=count)
-        found[:, number] = np.interp(np.arange(len(outlines)), each.at, turns)
+        found[:, number] = np.interp(np.arange(outlines), each.at, turns)
     found = found[:, np.argsort(found.mean(axis=0) % count)] if len(edges) else found
     found -= count * np.floor(found.mean(axis=0) / count)
     found = _apart(found, count)

@@ -4,9 +4,9 @@ Knots are the integers in both directions; u runs around the outlines, v from ou
 open direction is clamped, so that a surface ends on its last row of control points. A row may be an
 *apex*: all its control points are one.
 
-At a *crease*, an integer u, the knot stands four times: two columns of control points end there, one
-from either face, so that each moves along the normal of its own face. They are one in space, and
-one, on a triple knot, in the surface that the net hands out.
+At a *crease*, an integer u, the knot stands four times: two columns of control points end there,
+one from either face, so that each moves along the normal of its own face. They are one in space,
+and one, on a triple knot, in the surface that the net hands out.
 """
 
 from __future__ import annotations

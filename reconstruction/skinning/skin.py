@@ -93,18 +93,22 @@ def skin_branch(branch: Branch, loose: Moments | None = None) -> Skin:
         Cells that lie on no outline; those near the surface are used, the others left alone.
     """
     branch, stations, wild = _aligned(branch)
-    outlines = branch.outlines
-    around = _spans_around(branch)
-    creases = find_creases(outlines, stations)
-    if creases.shape[1]:
-        stations = align_between(
-            outlines, creases, around, _STATIONS_A_SPAN, cyclic=branch.cyclic
-        )
-        around = stations.shares.shape[1] // _STATIONS_A_SPAN
-    spans = (around, _spans_along(branch))
     loose = Moments.together([each for each in (loose, *wild) if each is not None])
+    sure, likely = find_creases(branch.outlines, stations)
+    skin = _skin(branch, _between(branch, stations, sure), loose)
+    if likely.shape[1] == sure.shape[1]:
+        return skin
+    other = _skin(branch, _between(branch, stations, likely), loose)
+    return other if _dear(other) < _dear(skin) else skin
+
+
+def _skin(branch: Branch, stations: Stations, loose: Moments) -> Skin:
+    """The same, along stations."""
+    outlines = branch.outlines
+    columns = stations.shares.shape[1]
+    around = columns // _STATIONS_A_SPAN if stations.creases else _spans_around(branch)
     brims = _brims(branch)
-    laid = lay_net(outlines, stations, brims, spans)
+    laid = lay_net(outlines, stations, brims, (around, _spans_along(branch)))
     moments = Moments.together([outline.moments for outline in outlines])
     noise = _noise(branch)
     u, v = laid.u, laid.v
@@ -114,6 +118,21 @@ def skin_branch(branch: Branch, loose: Moments | None = None) -> Skin:
         u, v = np.concatenate([u, near_u]), np.concatenate([v, near_v])
     fit = fit_net(laid.net, moments, u, v, noise, rims=_rims(brims))
     return Skin(branch, brims, laid, stations, moments, fit)
+
+
+def _between(branch: Branch, stations: Stations, creases: FloatArray) -> Stations:
+    """Stations laid anew between edges (k, c), if there are any."""
+    if not creases.shape[1]:
+        return stations
+    spans = _spans_around(branch)
+    return align_between(branch.outlines, creases, spans, _STATIONS_A_SPAN, cyclic=branch.cyclic)
+
+
+def _dear(skin: Skin) -> float:
+    """What a fit costs: its misfit, and its freedom at the price of Schwarz (1978)."""
+    noise = skin.fit.noise
+    held = max(skin.moments.total / noise.inflation, 2.0)
+    return held * math.log(noise.level_mm2) + math.log(held) * skin.fit.edf
 
 
 def _aligned(branch: Branch) -> tuple[Branch, Stations, list[Moments]]:
