@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
+from reconstruction.errors import Unfittable
 from reconstruction.nurbs import points_and_tangents_at
 from reconstruction.skinning.aligning import Stations, align
-from reconstruction.skinning.assembly import variances_across
 from reconstruction.skinning.branch import Branch
 from reconstruction.skinning.ends import Apex, Brim, brim_or_apex
 from reconstruction.skinning.feet import nearby
@@ -19,9 +19,11 @@ from reconstruction.skinning.net import basis_at, unit_normals
 from reconstruction.skinning.noise import Noise
 from reconstruction.skinning.outlines import Moments
 from reconstruction.skinning.tensor_fit import FREE, Rim, TensorFit, fit_net
+from reconstruction.skinning.variances import variances_across
 
 _SPANS_A_FREEDOM = 2.5
 _MORE_SPANS = 10
+_LEAST_SPANS_U = 12
 _MOST_SPANS = 240
 _LEAST_SPANS_V = 6
 _MOST_SPANS_V = 160
@@ -92,10 +94,28 @@ def skin_branch(branch: Branch, loose: Moments | None = None) -> Skin:
         Cells that lie on no outline; those near the surface are used, the others left alone.
     """
     branch, stations, wild = _aligned(branch)
-    outlines = branch.outlines
-    spans = (_spans_around(branch), _spans_along(branch))
     loose = Moments.together([each for each in (loose, *wild) if each is not None])
     brims = _brims(branch)
+    spans, finer = _wide_spans(_spans_around(branch), _spans_along(branch))
+    if any(finer):
+        try:
+            return _fitted(branch, stations, loose, brims, spans, finer)
+        except Unfittable:  # too wide to find the points: narrow from the beginning
+            pass
+    spans = (_spans_around(branch), _spans_along(branch))
+    return _fitted(branch, stations, loose, brims, spans, (False, False))
+
+
+def _fitted(
+    branch: Branch,
+    stations: Stations,
+    loose: Moments,
+    brims: tuple[Brim | Apex, Brim | Apex] | None,
+    spans: tuple[int, int],
+    finer: tuple[bool, bool],
+) -> Skin:
+    """A net of so many spans laid through the stations, and fitted."""
+    outlines = branch.outlines
     laid = lay_net(outlines, stations, brims, spans)
     moments = Moments.together([outline.moments for outline in outlines])
     noise = _noise(branch)
@@ -104,7 +124,7 @@ def skin_branch(branch: Branch, loose: Moments | None = None) -> Skin:
         near, near_u, near_v = nearby(laid.net, loose, _REACH * math.sqrt(noise.level_mm2))
         moments = Moments.together([moments, near])
         u, v = np.concatenate([u, near_u]), np.concatenate([v, near_v])
-    fit = fit_net(laid.net, moments, u, v, noise, rims=_rims(brims))
+    fit = fit_net(laid.net, moments, u, v, noise, rims=_rims(brims), finer=finer)
     return Skin(branch, brims, laid, stations, moments, fit)
 
 
@@ -146,7 +166,7 @@ def _standing_out(stations: Stations, *, cyclic: bool) -> int | None:
 def _spans_around(branch: Branch) -> int:
     """Spans enough for the liveliest of the outlines; the stiffness does the rest."""
     edf = float(np.quantile([outline.fitted.edf for outline in branch.outlines], 0.9))
-    return int(min(max(_SPANS_A_FREEDOM * edf + _MORE_SPANS, 12), _MOST_SPANS))
+    return int(min(max(_SPANS_A_FREEDOM * edf + _MORE_SPANS, _LEAST_SPANS_U), _MOST_SPANS))
 
 
 def _spans_along(branch: Branch) -> int:
@@ -156,6 +176,15 @@ def _spans_along(branch: Branch) -> int:
     from row to row.
     """
     return int(min(max(0.75 * len(branch.outlines), _LEAST_SPANS_V), _MOST_SPANS_V))
+
+
+def _wide_spans(around: int, along: int) -> tuple[tuple[int, int], tuple[bool, bool]]:
+    """Spans to begin with, and whether they may be halved: half as many, if that is enough."""
+    finer = (around >= 2 * _LEAST_SPANS_U, along >= 2 * _LEAST_SPANS_V)
+    return (
+        -(-around // 2) if finer[0] else around,
+        -(-along // 2) if finer[1] else along,
+    ), finer
 
 
 def _brims(branch: Branch) -> tuple[Brim | Apex, Brim | Apex] | None:
