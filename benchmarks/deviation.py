@@ -14,15 +14,12 @@ import time
 import numpy as np
 
 from reconstruction.nurbs import points_and_tangents_at
-from reconstruction.skinning.assembly import (
-    add_stiffness,
-    empty_system,
-    stiffness_rows,
-    unknowns_of,
-    variances_across,
-)
+from reconstruction.skinning.assembly import add_stiffness, empty_system
+from reconstruction.skinning.bending import stiffness_rows
 from reconstruction.skinning.blocks import factorise, inverse_blocks
 from reconstruction.skinning.net import Net, basis_at, knots_of, unit_normals
+from reconstruction.skinning.unknowns import unknowns_of
+from reconstruction.skinning.variances import variances_across
 
 PLACES = 100_000
 
@@ -45,8 +42,7 @@ def median_ms(net: Net, repeats: int) -> float:
     system = empty_system(unknowns)
     for each in stiffness_rows(net, unknowns):
         add_stiffness(system, each, np.ones(len(each.values_mm)))
-    for block in system[0].diagonal:
-        block[np.diag_indices(len(block))] += 1.0
+    system[0].diagonal[:] += 1.0
     factor = factorise(system[0])
     if factor is None:
         raise SystemExit("the system is not positive definite")

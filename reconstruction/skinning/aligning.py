@@ -40,6 +40,7 @@ class Stations:
     shares: FloatArray  # (k, m), of each outline's length, increasing; beyond 1 around the seam
     cell_shares: tuple[FloatArray, ...]  # k of (cells,): where on its length each cell belongs
     creases: tuple[int, ...] = ()  # columns that run along edges of the part
+    spans: int | None = None  # that they stand for, if edges say how many
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "places_mm", frozen(self.places_mm))
@@ -117,7 +118,7 @@ def align_between(
     turned = int(knots[0]) * a_span
     shares = np.concatenate([shares[:, -turned:] - 1.0, shares[:, :-turned]], axis=1)
     columns = tuple((knots[:-1] * a_span).tolist())
-    return Stations(_places(tables, shares), shares, cell_shares, columns)
+    return Stations(_places(tables, shares), shares, cell_shares, columns, int(counts.sum()))
 
 
 def _even(starts: FloatArray, faces: FloatArray, count: int) -> FloatArray:

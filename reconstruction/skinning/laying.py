@@ -84,6 +84,7 @@ def relaid(net: Net, v: FloatArray) -> tuple[Net, FloatArray]:
     places = evaluate_surface(net.surface(), columns, fine).swapaxes(0, 1)
     along = np.concatenate([[0.0], _strides(places).cumsum()])
     along *= end_v / along[-1]
+    along[-1] = end_v  # exactly
     wanted = np.linspace(0.0, end_v, _FINE * int(end_v) + 1)
     back = np.interp(wanted, along, fine)
     # S = sum over i of B_i(u) c_i(v): each c_i is a curve of its own and is told anew.

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
+from reconstruction.errors import Unfittable
 from reconstruction.nurbs import points_and_tangents_at
 from reconstruction.skinning.aligning import Stations, align, align_between
-from reconstruction.skinning.assembly import variances_across
 from reconstruction.skinning.branch import Branch
 from reconstruction.skinning.creases import find_creases
 from reconstruction.skinning.ends import Apex, Brim, brim_or_apex
@@ -20,9 +20,11 @@ from reconstruction.skinning.net import basis_at, unit_normals
 from reconstruction.skinning.noise import Noise
 from reconstruction.skinning.outlines import Moments
 from reconstruction.skinning.tensor_fit import FREE, Rim, TensorFit, fit_net
+from reconstruction.skinning.variances import variances_across
 
 _SPANS_A_FREEDOM = 2.5
 _MORE_SPANS = 10
+_LEAST_SPANS_U = 12
 _MOST_SPANS = 240
 _LEAST_SPANS_V = 6
 _MOST_SPANS_V = 160
@@ -95,20 +97,46 @@ def skin_branch(branch: Branch, loose: Moments | None = None) -> Skin:
     branch, stations, wild = _aligned(branch)
     loose = Moments.together([each for each in (loose, *wild) if each is not None])
     sure, likely = find_creases(branch.outlines, stations)
-    skin = _skin(branch, _between(branch, stations, sure), loose)
+    skin = _skin(branch, stations, loose, sure)
     if likely.shape[1] == sure.shape[1]:
         return skin
-    other = _skin(branch, _between(branch, stations, likely), loose)
+    other = _skin(branch, stations, loose, likely)
     return other if _dear(other) < _dear(skin) else skin
 
 
-def _skin(branch: Branch, stations: Stations, loose: Moments) -> Skin:
-    """The same, along stations."""
-    outlines = branch.outlines
-    columns = stations.shares.shape[1]
-    around = columns // _STATIONS_A_SPAN if stations.creases else _spans_around(branch)
-    brims = _brims(branch)
-    laid = lay_net(outlines, stations, brims, (around, _spans_along(branch)))
+def _skin(branch: Branch, stations: Stations, loose: Moments, creases: FloatArray) -> Skin:
+    """The same with known creases (k, c): wide spans first, where they may do."""
+    around, along = _spans_around(branch), _spans_along(branch)
+    spans, finer = _wide_spans(around, along)
+    if any(finer):
+        try:
+            laid = _between(branch, stations, creases, spans[0])
+            return _fitted(branch, laid, loose, spans, finer)
+        except Unfittable:  # too wide to find the points: narrow from the beginning
+            pass
+    laid = _between(branch, stations, creases, around)
+    return _fitted(branch, laid, loose, (around, along), (False, False))
+
+
+def _between(branch: Branch, stations: Stations, creases: FloatArray, spans: int) -> Stations:
+    """Stations laid anew between edges (k, c), if there are any, for about so many spans."""
+    if not creases.shape[1]:
+        return stations
+    a_span = -(-stations.shares.shape[1] // spans)
+    return align_between(branch.outlines, creases, spans, a_span, cyclic=branch.cyclic)
+
+
+def _fitted(
+    branch: Branch,
+    stations: Stations,
+    loose: Moments,
+    spans: tuple[int, int],
+    finer: tuple[bool, bool],
+) -> Skin:
+    """A net of so many spans laid through the stations, and fitted."""
+    outlines, brims = branch.outlines, _brims(branch)
+    spans = (stations.spans or spans[0], spans[1])
+    laid = lay_net(outlines, stations, brims, spans)
     moments = Moments.together([outline.moments for outline in outlines])
     noise = _noise(branch)
     u, v = laid.u, laid.v
@@ -116,16 +144,8 @@ def _skin(branch: Branch, stations: Stations, loose: Moments) -> Skin:
         near, near_u, near_v = nearby(laid.net, loose, _REACH * math.sqrt(noise.level_mm2))
         moments = Moments.together([moments, near])
         u, v = np.concatenate([u, near_u]), np.concatenate([v, near_v])
-    fit = fit_net(laid.net, moments, u, v, noise, rims=_rims(brims))
+    fit = fit_net(laid.net, moments, u, v, noise, rims=_rims(brims), finer=finer)
     return Skin(branch, brims, laid, stations, moments, fit)
-
-
-def _between(branch: Branch, stations: Stations, creases: FloatArray) -> Stations:
-    """Stations laid anew between edges (k, c), if there are any."""
-    if not creases.shape[1]:
-        return stations
-    spans = _spans_around(branch)
-    return align_between(branch.outlines, creases, spans, _STATIONS_A_SPAN, cyclic=branch.cyclic)
 
 
 def _dear(skin: Skin) -> float:
@@ -173,7 +193,7 @@ def _standing_out(stations: Stations, *, cyclic: bool) -> int | None:
 def _spans_around(branch: Branch) -> int:
     """Spans enough for the liveliest of the outlines; the stiffness does the rest."""
     edf = float(np.quantile([outline.fitted.edf for outline in branch.outlines], 0.9))
-    return int(min(max(_SPANS_A_FREEDOM * edf + _MORE_SPANS, 12), _MOST_SPANS))
+    return int(min(max(_SPANS_A_FREEDOM * edf + _MORE_SPANS, _LEAST_SPANS_U), _MOST_SPANS))
 
 
 def _spans_along(branch: Branch) -> int:
@@ -183,6 +203,15 @@ def _spans_along(branch: Branch) -> int:
     from row to row.
     """
     return int(min(max(0.75 * len(branch.outlines), _LEAST_SPANS_V), _MOST_SPANS_V))
+
+
+def _wide_spans(around: int, along: int) -> tuple[tuple[int, int], tuple[bool, bool]]:
+    """Spans to begin with, and whether they may be halved: half as many, if that is enough."""
+    finer = (around >= 2 * _LEAST_SPANS_U, along >= 2 * _LEAST_SPANS_V)
+    return (
+        -(-around // 2) if finer[0] else around,
+        -(-along // 2) if finer[1] else along,
+    ), finer
 
 
 def _brims(branch: Branch) -> tuple[Brim | Apex, Brim | Apex] | None:

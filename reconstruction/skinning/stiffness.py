@@ -6,12 +6,12 @@ stations are tied by a random walk, which speaks only where the data say little.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from reconstruction.arrays import FloatArray, frozen
-from reconstruction.skinning.assembly import Rows
+from reconstruction.skinning.bending import Rows
 from reconstruction.skinning.net import Net
 
 _SPANS_A_STATION = 8.0
@@ -32,13 +32,22 @@ class Lattice:
     ties: FloatArray  # (stations, stations)
 
     @staticmethod
-    def over(net: Net) -> Lattice:
-        """Stations for a net, some spans apart."""
-        shape = (_count(net.spans[0]), _count(net.spans[1]))
+    def over(net: Net, finer: tuple[bool, bool] = (False, False)) -> Lattice:
+        """Stations for a net, some spans apart: of those that it may have once it is finer."""
+        end_u, end_v = net.spans
+        shape = (
+            _count(2.0 * end_u if finer[0] else end_u),
+            _count(2.0 * end_v if finer[1] else end_v),
+        )
         closed = (net.closed_u, net.closed_v)
         ties = np.kron(_walk(shape[0], closed=closed[0]), np.eye(shape[1]))
         ties += np.kron(np.eye(shape[0]), _walk(shape[1], closed=closed[1]))
         return Lattice(shape, net.spans, closed, frozen(_TIE * ties))
+
+    def refined(self, along: tuple[bool, bool]) -> Lattice:
+        """The same stations over a net with spans halved."""
+        ends = (self.ends[0] * (1 + along[0]), self.ends[1] * (1 + along[1]))
+        return replace(self, ends=ends)
 
     @property
     def count(self) -> int:
@@ -72,8 +81,8 @@ class Lattice:
         others: FloatArray,
         free: FloatArray,
         forms: FloatArray,
-    ) -> FloatArray:
-        """One step towards the likelihood's maximum, held by ties.
+    ) -> tuple[FloatArray, float]:
+        """One step towards the likelihood's maximum, held by ties; what it gains of its logarithm.
 
         Parameters
         ----------
@@ -92,7 +101,8 @@ class Lattice:
         kin = _KIN / size
         gradient = 0.5 * left * wanted - self.ties @ logs - kin * (logs - others)
         known = np.diag(0.5 * left + kin) + self.ties
-        return np.asarray(logs + np.clip(np.linalg.solve(known, gradient), -_STEP, _STEP))
+        step = np.clip(np.linalg.solve(known, gradient), -_STEP, _STEP)
+        return np.asarray(logs + step), float(gradient @ step)
 
     def _beside(self, at: FloatArray, axis: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         count, end, closed = self.shape[axis], self.ends[axis], self.closed[axis]

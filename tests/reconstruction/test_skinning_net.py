@@ -8,23 +8,16 @@ import numpy as np
 import pytest
 
 from reconstruction.nurbs import evaluate_surface_at, surface_derivatives
-from reconstruction.skinning.assembly import (
-    Unknowns,
-    add_data,
-    add_stiffness,
-    applied,
-    empty_system,
-    row_values,
-    row_variances,
-    stiffness_rows,
-    unknowns_of,
-    variances_across,
-)
+from reconstruction.skinning.assembly import add_data, add_stiffness, empty_system
+from reconstruction.skinning.bending import row_values, stiffness_rows
 from reconstruction.skinning.blocks import Blocks, factorise, inverse_blocks
 from reconstruction.skinning.feet import find_feet
 from reconstruction.skinning.net import Net, basis_at, derivatives_at
 from reconstruction.skinning.noise import Noise
 from reconstruction.skinning.outlines import Moments
+from reconstruction.skinning.refining import refined
+from reconstruction.skinning.unknowns import Unknowns, applied, unknowns_of
+from reconstruction.skinning.variances import row_variances, variances_across
 from tests.reconstruction.skinning_parts import torus_net, tube_net
 
 NETS = {"tube": tube_net(), "tip": tube_net(apex=True), "torus": torus_net()}
@@ -37,19 +30,17 @@ def somewhere(net: Net, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def dense(matrix: Blocks) -> np.ndarray:
-    blocks, size = matrix.diagonal.shape[:2]
-    out = np.zeros((blocks * size, blocks * size))
-    for k in range(blocks):
-        own = slice(k * size, (k + 1) * size)
-        out[own, own] = matrix.diagonal[k]
-        if k + 1 < blocks:
-            out[(k + 1) * size : (k + 2) * size, own] = matrix.lower[k]
-    return out + np.tril(out, -1).T
+    blocks, size, length = matrix.panels.shape
+    out = np.zeros((blocks * size, (blocks * size) + length))
+    for k, panel in enumerate(matrix.panels):
+        out[k * size : (k + 1) * size, k * size : k * size + length] = panel
+    upper = np.triu(out[:, : blocks * size])
+    return upper + np.triu(upper, 1).T
 
 
 def jacobian(net: Net, unknowns: Unknowns, u: np.ndarray, v: np.ndarray, normals) -> np.ndarray:
     """How far each unknown moves the surface along normals, one unknown after the other."""
-    size = unknowns.blocks * unknowns.size
+    size = unknowns.count
     rows = np.empty((len(u), size))
     before = evaluate_surface_at(net.surface(), u, v)
     for k in range(size):
@@ -132,7 +123,7 @@ def test_data_enter_the_system_as_their_jacobian_says(name: str) -> None:
 def test_rows_of_the_stiffness_say_how_they_change(name: str) -> None:
     net = NETS[name]
     unknowns = unknowns_of(net, (None, None))
-    size = unknowns.blocks * unknowns.size
+    size = unknowns.count
     moves = np.random.default_rng(7).normal(0.0, 1e-4, size)
     moved = net.moved(applied(net, unknowns, moves))
     for before, after in zip(
@@ -160,11 +151,11 @@ def test_variances_are_those_of_the_dense_inverse(name: str) -> None:
     rows = stiffness_rows(net, unknowns)
     for each in rows:
         add_stiffness(system, each, np.full(len(each.values_mm), 2.0))
-    for block in system[0].diagonal:
-        block[np.diag_indices(len(block))] += 1.0
+    system[0].diagonal[:] += 1.0
+    truth = np.linalg.inv(dense(system[0]))
     factor = factorise(system[0])
     assert factor is not None
-    inverse, truth = inverse_blocks(factor), np.linalg.inv(dense(system[0]))
+    inverse = inverse_blocks(factor)
     for each in rows:
         wide = np.zeros((len(each.values_mm), len(truth)))
         for k in range(each.numbers.shape[1]):
@@ -191,8 +182,7 @@ def test_a_variance_does_not_depend_on_the_places_asked_for_with_it(name: str) -
     system = empty_system(unknowns)
     for each in stiffness_rows(net, unknowns):
         add_stiffness(system, each, np.full(len(each.values_mm), 2.0))
-    for block in system[0].diagonal:
-        block[np.diag_indices(len(block))] += 1.0
+    system[0].diagonal[:] += 1.0
     factor = factorise(system[0])
     assert factor is not None
     inverse = inverse_blocks(factor)
@@ -221,3 +211,16 @@ def test_both_sizes_of_the_noise_are_told_by_the_residuals() -> None:
     found = Noise(1.0, 1.0, UP).looked_at_again(normals, squares, np.ones(20_000), 0.0)
     assert found.level_mm2 == pytest.approx(0.04, rel=0.05)
     assert found.rise_mm2 == pytest.approx(0.0025, rel=0.15)
+
+
+@pytest.mark.parametrize("along", [(True, False), (False, True), (True, True)])
+@pytest.mark.parametrize("name", NETS)
+def test_spans_are_halved_without_changing_the_surface(name: str, along: tuple[bool, bool]) -> None:
+    net = NETS[name]
+    fine = refined(net, along)
+    assert fine.spans == (net.spans[0] * (1 + along[0]), net.spans[1] * (1 + along[1]))
+    u, v = somewhere(net, 60, 8)
+    before = evaluate_surface_at(net.surface(), u, v)
+    after = evaluate_surface_at(fine.surface(), u * (1 + along[0]), v * (1 + along[1]))
+    assert after == pytest.approx(before, abs=1e-11)
+    assert fine.apex.sum() == net.apex.sum()
