@@ -140,7 +140,7 @@ def against(form: Form, cells: Cells) -> tuple[Fitted, FloatArray]:
         trust = trusted(spread.blur)
         weights = cells.precisions * trust
         matrix = reading.slopes.T @ (weights[:, None] * reading.slopes)
-        distances = reading.distances_mm + spread.shifts_mm
+        distances = reading.distances_mm + np.where(trust > 0.0, spread.shifts_mm, 0.0)
     return Fitted(form, matrix, len(matrix), distances, spread, trust), reading.slopes
 
 

@@ -8,19 +8,19 @@ standard normal number; so is what then remains of every patch.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import BoolArray, FloatArray
 from reconstruction.skinning.adjustment import Cells, Fitted
-from reconstruction.skinning.patches import pooled
+from reconstruction.skinning.patches import Patches, pooled
 from reconstruction.skinning.primitives import Form, Plane, Sphere
 from reconstruction.skinning.revolution import Revolution
 
 _WAVE = 4.5  # standard deviations that none of some forty waves reaches by chance ...
+_WAVES = 6.0  # ... nor the squares of the first few of them together ...
 _PATCH = 5.2  # ... and none of some thousand patches
+_DOUBT = 2.0  # standard deviations by which squares may fall short
 _LOBES = (8, 4, 3)  # around, where the wave along is constant, linear, quadratic
 _BULGES = 4  # greatest degree along, of what is the same all around
 _PATCHES_A_WAVE = 3
@@ -30,10 +30,23 @@ _DEGREE = 5  # of polynomials over a plane
 
 def lacks_fit(found: Fitted, cells: Cells) -> bool:
     """Whether the cells' distances show a wave or a dent that chance does not explain."""
+    waves, rest = left_over(found, cells)
+    counts = np.arange(1.0, len(waves) + 1.0)
+    usual = counts + _WAVES * (np.sqrt(2.0 * counts) + 1.0)
+    return bool(
+        np.abs(waves).max(initial=0.0) > _WAVE
+        or (np.cumsum(waves**2) > usual).any()
+        or np.abs(rest).max(initial=0.0) > _PATCH
+    )
+
+
+def left_over(found: Fitted, cells: Cells) -> tuple[FloatArray, FloatArray]:
+    """Parts of the distances along waves, (k,), and what is left of every patch, (p,).
+
+    All are standard normal numbers where the cells are those of the form.
+    """
     weights = cells.precisions * found.trust
     places = cells.moments.means_mm
-    if not float(weights.sum()) > 0.0:
-        return True
     chart = found.form.chart(places)
     patches = pooled(chart, places, weights)
     bounds = chart.min(axis=0), chart.max(axis=0)
@@ -41,43 +54,51 @@ def lacks_fit(found: Fitted, cells: Cells) -> bool:
     def rows_at(middles: FloatArray) -> FloatArray:
         return np.hstack([found.form.measure(middles).slopes, _waves(found.form, middles, bounds)])
 
-    rows, root = rows_at(patches.middles_mm), np.sqrt(patches.held)
     freedoms = len(found.normal_matrix)
-    told = max(len(rows) // _PATCHES_A_WAVE, freedoms)  # few patches tell few waves
-    if len(rows) <= freedoms:
-        return False
-    left = root * patches.mean(found.distances_mm, weights)
-    pulled = np.zeros(rows.shape[1])
+    if len(patches.held) <= freedoms:
+        return np.empty(0), np.empty(0)
+    told = max(len(patches.held) // _PATCHES_A_WAVE, freedoms)  # few patches tell few waves
+    rows = rows_at(patches.middles_mm)[:, :told]
+    distances = patches.mean(found.distances_mm, weights)
+    right = rows.T @ (patches.held * distances)
     if not isinstance(found.form, Revolution):  # its profile takes up what is alike all around
-        turns = patches.along(rows_at, patches.mean(found.spread.pulls_mm2, weights))
-        pulled = patches.held @ turns
-    parts, rest = _taken_out(root[:, None] * rows[:, :told], left, pulled[:told])
-    waves = parts[freedoms:]
-    usual = len(waves) + _WAVE * (math.sqrt(2.0 * len(waves)) + 1.0)
-    return bool(
-        np.abs(waves).max(initial=0.0) > _WAVE
-        or float(waves @ waves) > usual
-        or np.abs(rest).max() > _PATCH
-    )
+        arms = places - patches.middles_mm[patches.of_cell]
+        pulls = found.spread.pulls_mm2 + found.distances_mm[:, None] * arms
+        turns = patches.along(rows_at, patches.mean(pulls, weights))[:, :told]
+        right = right + patches.held @ turns
+    parts, factors = _taken_out(np.sqrt(patches.held)[:, None] * rows, right)
+    rest = np.sqrt(patches.held) * (distances - rows @ factors)
+    return parts[freedoms:], np.where(_one_sided(rest, found, cells, patches), 0.0, rest)
 
 
-def _taken_out(
-    rows: FloatArray, left: FloatArray, pulled: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Parts (k,) of `left` (m,) along columns, each at right angles to those before; the rest (m,).
+def _one_sided(rest: FloatArray, found: Fitted, cells: Cells, patches: Patches) -> BoolArray:
+    """Which patches stand off only because a cut went through the noise of a level wall.
 
-    By Cholesky's factor, since a column that depends on others may then be any: its part is none.
+    A slab that ends there holds the points that noise has lifted and not the others. They scatter
+    the less about their mean: their squares are still what noise makes them.
+    """
+    squares = found.distances_mm**2 + found.spread.scatters_mm2
+    points = patches.sums(found.trust * cells.independent)
+    excess = patches.sums(found.trust * cells.precisions * squares) - points
+    return np.asarray(excess < rest**2 - _DOUBT * np.sqrt(2.0 * points))
+
+
+def _taken_out(rows: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Parts along columns, each at right angles to those before, and their factors, (k,) each.
+
+    By Cholesky's factor of the rows (m, k), since a column that depends on others may be any: its
+    part is none.
 
     Parameters
     ----------
-    pulled
-        (k,), what the products of `left` and the columns lack, see `adjustment`.
+    right
+        (k,), products of the columns and what is to be taken apart.
     """
     lengths = np.maximum(np.sqrt((rows * rows).sum(axis=0)), 1e-300)
     rows = rows / lengths
-    factor = np.linalg.cholesky(rows.T @ rows + _RIDGE * np.eye(rows.shape[1]))
-    parts = solve_triangular(factor, rows.T @ left + pulled / lengths, lower=True)
-    return parts, left - rows @ solve_triangular(factor, parts, lower=True, trans="T")
+    root = np.linalg.cholesky(rows.T @ rows + _RIDGE * np.eye(rows.shape[1]))
+    parts = solve_triangular(root, right / lengths, lower=True)
+    return parts, solve_triangular(root, parts, lower=True, trans="T") / lengths
 
 
 def _waves(form: Form, places: FloatArray, bounds: tuple[FloatArray, FloatArray]) -> FloatArray:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from reconstruction.arrays import FloatArray, IntArray
+from reconstruction.arrays import BoolArray, FloatArray, IntArray
 
 _COUNTS = (48, 20)  # around and along
+_SPARSE = 0.35  # of the points that cells nearby hold ...
+_SPARSER = 3.0  # ... and standard deviations fewer
 _STEP = 1e-4  # of the form's size, for derivatives
 
 
@@ -23,7 +25,14 @@ class Patches:
 
     def mean(self, values: FloatArray, weights: FloatArray) -> FloatArray:
         """Weighted means of values (m,) or (m, d) of the cells, (k,) or (k, d)."""
-        return _mean(self.of_cell, self.held, values, weights)
+        if values.ndim == 1:
+            return self.sums(weights * values) / self.held
+        return np.stack([self.mean(column, weights) for column in values.T], axis=1)
+
+    def sums(self, values: FloatArray) -> FloatArray:
+        """Sums of values (m,) of the cells, (k,)."""
+        # One place up: the first is of what weighs nothing.
+        return np.bincount(self.of_cell + 1, values, len(self.held) + 1)[1:].astype(np.float64)
 
     def along(self, function: Callable[[FloatArray], FloatArray], ways: FloatArray) -> FloatArray:
         """Derivative of a function of places (k, 3) -> (k, d) along ways (k, 3) at the middles."""
@@ -45,15 +54,17 @@ def pooled(chart: FloatArray, places_mm: FloatArray, weights: FloatArray) -> Pat
     filled = np.flatnonzero(sums > 0.0)
     number = np.full(len(sums), -1)
     number[filled] = np.arange(len(filled))
-    of_cell = number[box]
-    return Patches(of_cell, sums[filled], _mean(of_cell, sums[filled], places_mm, weights))
+    patches = Patches(number[box], sums[filled], np.zeros((len(filled), 3)))
+    return replace(patches, middles_mm=patches.mean(places_mm, weights))
 
 
-def _mean(
-    of_cell: IntArray, held: FloatArray, values: FloatArray, weights: FloatArray
-) -> FloatArray:
-    # The sums go one place up: the first is of what weighs nothing.
-    columns = values[:, None] if values.ndim == 1 else values
-    sums = [np.bincount(of_cell + 1, weights * c, len(held) + 1)[1:] for c in columns.T]
-    means = np.stack(sums, axis=1) / held[:, None]
-    return means[:, 0] if values.ndim == 1 else means
+def beyond_rims(points: FloatArray, patches: Patches) -> BoolArray:
+    """Which cells hold far fewer points than those beside them.
+
+    They lie beyond a rim: noise has carried their points there, across a leaning wall more often
+    one way than the other.
+    """
+    alike = patches.sums(np.ones(len(points)))
+    usual = (patches.sums(points) / alike)[patches.of_cell]
+    fewer = usual - points > _SPARSER * np.sqrt(np.maximum(usual, 0.0))
+    return (points < _SPARSE * usual) & fewer & (patches.of_cell >= 0)

@@ -25,6 +25,7 @@ from reconstruction.arrays import FloatArray, frozen
 from reconstruction.slices import Frame
 
 _TINY = 1e-300
+_BLUNT = 1e-6  # of the radius: nearer to the apex nobody asks for the curvature
 AXIS = ("offset_x_mm", "offset_y_mm", "tilt_x_rad", "tilt_y_rad")
 
 
@@ -170,8 +171,8 @@ class Cone:
         push = outward @ self.frame.axes[:2].T
         lever = (height * c + radial * s)[:, None] * push
         slopes = np.column_stack([c * push, lever, np.full(len(push), c), beyond * s + height * c])
-        feet = radial - distances * c
-        bends = np.column_stack([c / np.maximum(feet, _TINY), np.zeros(len(push))])
+        feet = np.maximum(radial - distances * c, _BLUNT * self.radius_mm)
+        bends = np.column_stack([c / feet, np.zeros(len(push))])
         return Reading(distances, c * outward - s * self.frame.axes[2], around, bends, slopes)
 
     def moved(self, step: FloatArray) -> Cone:

@@ -23,7 +23,7 @@ from reconstruction.skinning.adjustment import Cells, Fitted, adjusted, approach
 from reconstruction.skinning.exact_shapes import Shape
 from reconstruction.skinning.lack_of_fit import lacks_fit
 from reconstruction.skinning.outlines import Moments
-from reconstruction.skinning.patches import pooled
+from reconstruction.skinning.patches import beyond_rims, pooled
 from reconstruction.skinning.primitives import Form
 from reconstruction.skinning.revolving import revolved, sketched
 from reconstruction.skinning.starting import (
@@ -44,8 +44,6 @@ _HOPELESS = 6.0  # standard deviations by which few cells exceed what all may
 _CAPPED = 25.0  # squared deviations of a cell, at most, in a first look
 _OUTLYING = 5.0  # standard deviations, from the form and from the neighbours
 _NEIGHBOURS = 8
-_SPARSE = 0.35  # of the points that cells nearby hold ...
-_SPARSER = 3.0  # ... and standard deviations fewer
 _RARE = 0.02  # share of the cells that may be outliers
 
 _Trial = tuple[Fitted, Cells]
@@ -90,9 +88,10 @@ def recognised(
     if int((held > 0.0).sum()) < _LEAST:
         return None
     judge = _Judge(free_misfit, free_edf, cells)
-    found = judge.best(_simple(judge, clean=weights is not None))
-    if found is None:
-        found = judge.best(_revolutions(judge, clean=weights is not None))
+    with np.errstate(all="ignore"):  # a trial that runs away is no shape
+        found = judge.best(_simple(judge, clean=weights is not None))
+        if found is None:
+            found = judge.best(_revolutions(judge, clean=weights is not None))
     return None if found is None else _shape(*found)
 
 
@@ -204,7 +203,8 @@ def _without_outliers(found: Fitted, cells: Cells) -> Cells:
     A form that does not fit stands off from whole neighbourhoods: there nobody is an outlier.
     """
     root = np.sqrt(cells.precisions * found.trust)
-    suspects = np.flatnonzero(root * np.abs(found.distances_mm) > _OUTLYING)
+    scattered = found.distances_mm**2 + found.spread.scatters_mm2 > cells.variances_mm2
+    suspects = np.flatnonzero((root * np.abs(found.distances_mm) > _OUTLYING) & scattered)
     if not 0 < len(suspects) <= _RARE * len(cells):
         return cells
     places = cells.moments.means_mm
@@ -219,17 +219,15 @@ def _without_outliers(found: Fitted, cells: Cells) -> Cells:
 def _misfit(found: Fitted, cells: Cells) -> float:
     """Sum of squares in units of the noise; what is no evidence counts as chance has it.
 
-    That is what cannot be trusted, and the few points beyond a rim: noise has carried them there,
-    across a leaning wall more often one way than the other.
+    That is what cannot be trusted, and where cells beyond a rim lie: a free surface may bend after
+    them, and is none the better for it.
     """
-    trust, places = found.trust, cells.moments.means_mm
-    held = cells.independent
+    held, places = cells.independent, cells.moments.means_mm
     patches = pooled(found.form.chart(places), places, np.ones(len(places)))
-    usual = patches.mean(held, np.ones(len(places)))[patches.of_cell]
-    sparse = (held < _SPARSE * usual) & (usual - held > _SPARSER * np.sqrt(usual))
-    counted = np.where(sparse, 0.0, trust)
-    squares = cells.precisions * (found.distances_mm**2 + found.spread.scatters_mm2)
-    return float((counted * squares + (1.0 - counted) * held).sum())
+    middles = cells.precisions * found.distances_mm**2
+    middles = np.where(beyond_rims(held, patches), np.minimum(middles, 1.0), middles)
+    squares = middles + cells.precisions * found.spread.scatters_mm2
+    return float((found.trust * squares + (1.0 - found.trust) * held).sum())
 
 
 def _shape(found: Fitted, cells: Cells) -> Shape:

@@ -27,6 +27,7 @@ from reconstruction.slices import Frame
 
 _VERTICES_A_SPAN = 8
 _TINY = 1e-300
+_BLUNT = 1e-6  # of the largest radius: nearer to the axis nobody asks for the curvature
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,8 +70,9 @@ class Revolution:
         speed = np.maximum(np.sqrt((first * first).sum(axis=1)), _TINY)
         rise, push = -first[:, 1] / speed, first[:, 0] / speed  # of the normal
         distances = (heights - points[:, 0]) * rise + (radii - points[:, 1]) * push
+        least = _BLUNT * float(self.control_mm[:, 1].max())
         bend = (first[:, 1] * second[:, 0] - first[:, 0] * second[:, 1]) / speed**3
-        bends = np.column_stack([push / np.maximum(points[:, 1], _TINY), bend])
+        bends = np.column_stack([push / np.maximum(points[:, 1], least), bend])
         normals = push[:, None] * outward + rise[:, None] * self.frame.axes[2]
         beside = outward @ self.frame.axes[:2].T
         lever = (heights * push - radii * rise)[:, None] * beside

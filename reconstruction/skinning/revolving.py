@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from reconstruction.arrays import FloatArray
-from reconstruction.errors import ReconstructionError
+from reconstruction.errors import ReconstructionError, Unfittable
 from reconstruction.fitting.bands import LEAST
 from reconstruction.fitting.bending import add_penalty, control_normals, curvature_changes
 from reconstruction.fitting.chain import Chain
@@ -87,6 +87,8 @@ def _settled(fit: Fit, frame: Frame, cells: Cells, rounds: int) -> Sketch:
     for _ in range(rounds):
         half = _half(form.frame, cells)
         t = refined(form.control_mm, half.places_mm, t, closed=form.closed)
+        if not np.isfinite(t).all():
+            raise Unfittable("the profile of a surface of revolution has run away")
         fit = _profile(form, half, t, fit.log_stiffness)
         form = replace(form, control_mm=fit.control_mm)
         found, right = _together(form, fit, cells, t)
@@ -221,7 +223,8 @@ def _together(form: Revolution, fit: Fit, cells: Cells, t: FloatArray) -> tuple[
     t = refined(form.control_mm, half, t, closed=form.closed)
     reading = form.measure_at(places, t)
     spread = spread_over(reading, cells)
-    distances, trust = reading.distances_mm + spread.shifts_mm, trusted(spread.blur)
+    trust = trusted(spread.blur)
+    distances = reading.distances_mm + np.where(trust > 0.0, spread.shifts_mm, 0.0)
     weights = cells.precisions * trust
     axis, profile = reading.slopes, form.profile_slopes(t)
     size = 4 + len(form.control_mm)
