@@ -91,6 +91,7 @@ class Fitted:
     distances_mm: FloatArray  # (m,), mean distance of a cell's points
     spread: Spread
     trust: FloatArray  # (m,), 0 .. 1
+    chart: FloatArray  # (m, 2), where on the form
 
     @property
     def covariance(self) -> FloatArray:
@@ -135,13 +136,14 @@ def approached(form: Form, cells: Cells, *, rounds: int) -> Fitted | None:
 def against(form: Form, cells: Cells) -> tuple[Fitted, FloatArray]:
     """Measure cells against a form; that, and the slopes (m, p)."""
     with np.errstate(all="ignore"):  # what is not finite is refused by `_solved`
-        reading = form.measure(cells.moments.means_mm)
+        places = cells.moments.means_mm
+        reading, chart = form.measure(places), form.chart(places)
         spread = spread_over(reading, cells)
         trust = trusted(spread.blur)
         weights = cells.precisions * trust
         matrix = reading.slopes.T @ (weights[:, None] * reading.slopes)
         distances = reading.distances_mm + np.where(trust > 0.0, spread.shifts_mm, 0.0)
-    return Fitted(form, matrix, len(matrix), distances, spread, trust), reading.slopes
+    return Fitted(form, matrix, len(matrix), distances, spread, trust, chart), reading.slopes
 
 
 def trusted(blur: FloatArray) -> FloatArray:
@@ -212,7 +214,7 @@ def _pulled(here: Fitted, cells: Cells, weights: FloatArray) -> FloatArray:
     slopes change along it. It is smooth over the form, so patches will do.
     """
     places = cells.moments.means_mm
-    patches = pooled(here.form.chart(places), places, weights)
+    patches = pooled(here.chart, places, weights)
     ways = patches.mean(here.spread.pulls_mm2, weights)
     turns = patches.along(lambda middles: here.form.measure(middles).slopes, ways)
     return np.asarray(patches.held @ turns)

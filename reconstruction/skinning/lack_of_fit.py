@@ -47,9 +47,8 @@ def left_over(found: Fitted, cells: Cells) -> tuple[FloatArray, FloatArray]:
     """
     weights = cells.precisions * found.trust
     places = cells.moments.means_mm
-    chart = found.form.chart(places)
-    patches = pooled(chart, places, weights)
-    bounds = chart.min(axis=0), chart.max(axis=0)
+    patches = pooled(found.chart, places, weights)
+    bounds = found.chart.min(axis=0), found.chart.max(axis=0)
 
     def rows_at(middles: FloatArray) -> FloatArray:
         return np.hstack([found.form.measure(middles).slopes, _waves(found.form, middles, bounds)])

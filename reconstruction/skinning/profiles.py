@@ -10,7 +10,6 @@ from reconstruction.errors import Unfittable
 from reconstruction.fitting.spline import nurbs_of
 from reconstruction.nurbs import Curve, split
 
-_EXTENSION = 400  # control points by which a profile may go on straight
 _SAMPLES = 16  # of a span, to find where it passes a height
 _SAME = 1e-9  # of the profile's size
 
@@ -18,8 +17,8 @@ _SAME = 1e-9  # of the profile's size
 def profile_between(control_mm: FloatArray, low_mm: float, high_mm: float) -> Curve:
     """Cut an open profile to the stretch from its first to its last place between two heights.
 
-    Where it ends before them, but heads for them, it goes on straight; where it meets the axis it
-    ends, on the axis exactly.
+    Where it ends before them, but heads for them, it goes on straight, as far again as it is long at
+    most; where it meets the axis it ends, on the axis exactly.
 
     Parameters
     ----------
@@ -69,9 +68,10 @@ def _extended(control: FloatArray, height_mm: float) -> FloatArray:
     heads = side * way[0] > 0.0 or way[1] < 0.0
     if not (lacks and nearer and heads and edge[1] > 0.0):
         return control
-    added = control[0] + np.arange(1, _EXTENSION + 1)[:, None] * way
+    most = len(control)  # as far again as it is long: beyond, nothing is known of it
+    added = control[0] + np.arange(1, most + 1)[:, None] * way
     passed = np.flatnonzero((side * (added[:, 0] - height_mm) > 0.0) | (added[:, 1] < 0.0))
-    count = min(int(passed[0]) + 2, _EXTENSION) if len(passed) else _EXTENSION
+    count = min(int(passed[0]) + 2, most) if len(passed) else most
     return np.vstack([added[:count][::-1], control])
 
 

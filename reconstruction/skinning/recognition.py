@@ -223,7 +223,7 @@ def _misfit(found: Fitted, cells: Cells) -> float:
     them, and is none the better for it.
     """
     held, places = cells.independent, cells.moments.means_mm
-    patches = pooled(found.form.chart(places), places, np.ones(len(places)))
+    patches = pooled(found.chart, places, np.ones(len(places)))
     middles = cells.precisions * found.distances_mm**2
     middles = np.where(beyond_rims(held, patches), np.minimum(middles, 1.0), middles)
     squares = middles + cells.precisions * found.spread.scatters_mm2

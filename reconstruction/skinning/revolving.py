@@ -23,7 +23,7 @@ from reconstruction.fitting.smoothing import Fit, Noise, smooth, stiffness_along
 from reconstruction.fitting.spanning import span
 from reconstruction.fitting.spline import spans_of
 from reconstruction.skinning.adjustment import Cells, Fitted, spread_over, trusted
-from reconstruction.skinning.primitives import polar
+from reconstruction.skinning.primitives import polar, turned
 from reconstruction.skinning.revolution import Revolution, nearest, refined
 from reconstruction.slices import Frame
 
@@ -237,7 +237,8 @@ def _together(form: Revolution, fit: Fit, cells: Cells, t: FloatArray) -> tuple[
     prior, pull = _prior(form, fit, float(np.ptp(places, axis=0).max()))
     matrix = data + prior
     freedom = float(np.trace(np.linalg.solve(matrix, data)))
-    fitted = Fitted(form, matrix, freedom, distances, spread, trust)
+    chart = np.column_stack([turned(form.frame, places)[:, 0], t])
+    fitted = Fitted(form, matrix, freedom, distances, spread, trust, chart)
     return fitted, right + pull
 
 
