@@ -30,7 +30,7 @@ from acquisition.poses import Sweep
 from acquisition.scan_record import ScanRecord, State, decode_record, encode_record
 from acquisition.sweep_codec import decode_sweep, encode_sweep
 
-POLL_S = 0.05  # how long `follow` asks for in one pause
+POLL_S = 0.02  # how long `follow` asks for in one pause
 _RECORD = "scan.json"
 _SLICES = "slices"
 _NAME = re.compile(r"(\d{6,})\.npz")
@@ -184,7 +184,7 @@ class ScanFolder:
         """Yield the slices in the order of their indices, as they appear.
 
         Ends when `stop` says so, and after the last slice once scan.json says complete or aborted
-        (what is missing then is left out). Every wait is one call of `pause`, 50 ms.
+        (what is missing then is left out). Every wait is one call of `pause`, 20 ms.
 
         Raises
         ------

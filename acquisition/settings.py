@@ -16,7 +16,7 @@ from __future__ import annotations
 import json
 import math
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields
 from difflib import get_close_matches
 from enum import Enum
@@ -38,6 +38,7 @@ class Key:
     above: float = -math.inf
     at_most: float = math.inf
     starts: tuple[str, ...] = ()  # what a text may begin with; empty: anything
+    parse: Callable[[str], object] | None = None  # refuses a text by ValueError
 
     @property
     def bounds(self) -> str:
@@ -253,6 +254,11 @@ def _checked(value: object, key: Key, name: str, path: str) -> object:
     if isinstance(value, str) and key.starts and not value.startswith(key.starts):
         starts = ", ".join(key.starts)
         raise ValueError(f"{name}: {path}: {value!r} is no address; begin it with one of {starts}")
+    if isinstance(value, str) and key.parse is not None:
+        try:
+            key.parse(value)
+        except ValueError as bad:
+            raise ValueError(f"{name}: {path}: {bad}") from bad
     if isinstance(value, int | float) and not key.admits(value):
         raise ValueError(f"{name}: {path}: {value} is out of bounds; write {key.bounds}")
     return value

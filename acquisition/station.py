@@ -13,12 +13,17 @@ from typing import Annotated, ClassVar
 
 from acquisition.frames import Kinematics
 from acquisition.settings import Key, commented_toml, parse_settings, read_settings
+from drivers.addresses import parse_address
 
 _SERIAL_OR_TCP = ("serial://", "tcp://")
 _HEAD = """\
 A scanning station, read by loftscan. Lengths are mm, angles degrees, times s: every key says so.
 Addresses: serial:///dev/ttyUSB0?baud=115200  tcp://host:port  udp://:port
 A key that is not known here is an error, so that a slip of the pen is never silently ignored."""
+
+
+def _reached(meaning: str, starts: tuple[str, ...]) -> Key:
+    return Key(meaning, starts=starts, parse=parse_address)
 
 
 class GrblLetter(Enum):
@@ -82,7 +87,7 @@ class GrblTable:
 
     SELECTOR: ClassVar = "family"
     family: ClassVar = "grbl"
-    address: Annotated[str, Key("the board's port", starts=_SERIAL_OR_TCP)]
+    address: Annotated[str, _reached("the board's port", _SERIAL_OR_TCP)]
     letter: Annotated[GrblLetter, Key("Grbl's axis that turns the table")] = GrblLetter.X
     steps_per_deg: Annotated[
         float, Key("must equal the board's own $100 (or 101, 102, 103)", above=0.0)
@@ -111,7 +116,7 @@ class LeadshineStage:
 
     SELECTOR: ClassVar = "family"
     family: ClassVar = "leadshine"
-    address: Annotated[str, Key("the bus the drive is on", starts=_SERIAL_OR_TCP)]
+    address: Annotated[str, _reached("the bus the drive is on", _SERIAL_OR_TCP)]
     device_id: Annotated[int, Key("the drive's Modbus id", at_least=1, at_most=31)] = 1
     model: Annotated[LeadshineModel, Key("em2rs or cs2rs: whose alarm codes")] = (
         LeadshineModel.EM2RS
@@ -147,9 +152,9 @@ class BaumerOx:
 
     SELECTOR: ClassVar = "family"
     family: ClassVar = "baumer_ox"
-    address: Annotated[str, Key("the sensor's Modbus TCP", starts=("tcp://",))]
+    address: Annotated[str, _reached("the sensor's Modbus TCP", ("tcp://",))]
     device_id: Annotated[int, Key("the sensor's Modbus id", at_least=0, at_most=255)] = 1
-    profiles: Annotated[str, Key("where its profiles arrive here", starts=("udp://",))]
+    profiles: Annotated[str, _reached("where its profiles arrive here", ("udp://",))]
     setup: Annotated[int | None, Key("parameter setup to load; absent: as it is")] = None
     rate_hz: Annotated[float, Key("profiles a second", above=0.0)]
     points_per_profile: Annotated[int, Key("how many at most", at_least=1)]
@@ -166,7 +171,7 @@ class RelayLaser:
     SELECTOR: ClassVar = "switch"
     switch: ClassVar = "relay"
     family: Annotated[RelayFamily, Key("turck (with a watchdog of its own) or plain (without)")]
-    address: Annotated[str, Key("the relay's Modbus", starts=_SERIAL_OR_TCP)]
+    address: Annotated[str, _reached("the relay's Modbus", _SERIAL_OR_TCP)]
     device_id: Annotated[int, Key("the relay's Modbus id", at_least=0, at_most=247)] = 1
     output_by: Annotated[OutputBy, Key("coil or register bit: how outputs are addressed")] = (
         OutputBy.COIL

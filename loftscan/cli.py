@@ -22,6 +22,8 @@ from loftscan.commands.section import section
 from loftscan.commands.simulating import SETTINGS, sim
 from loftscan.commands.station import init
 
+_STOPPED = 3
+
 app = typer.Typer(
     help="Turn the slices of a scanning station into one watertight NURBS surface.",
     no_args_is_help=True,
@@ -57,8 +59,14 @@ app.command(context_settings=SETTINGS)(sim)
 
 def main() -> None:
     """Entry point of the console script."""
-    app()
+    try:
+        app()
+    except SystemExit as ended:
+        if ended.code == _STOPPED:
+            # What was half made when the key was pressed complains when it goes: nobody's concern.
+            sys.unraisablehook = lambda _: None
+        raise
 
 
 if __name__ == "__main__":
-    sys.exit(app())
+    main()

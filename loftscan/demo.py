@@ -11,25 +11,24 @@ The scan's own process can die, and this one notices; nothing of the truth is wo
 
 from __future__ import annotations
 
-import itertools
 import json
+import re
 import shutil
-import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Generator, Iterator, Mapping
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from acquisition.scanfile import ScanFolder
+from loftscan.following import FollowedScan
 from loftscan.result import OutputExists
+from loftscan.scans import Piece
 from loftscan.simulation import Simulated
 
 _END_S = 10.0  # laser off, axes stopped, links closed
-_PATIENCE_S = 60.0
 
 
 class ScanFailed(Exception):  # noqa: N818 (the house names errors after the fact)
@@ -48,21 +47,88 @@ class Scanning:
     folder: Path
     said: Path
 
-    def pause(self, seconds: float) -> None:
-        """Let some time pass for a follower; no slice will come of a scan that failed.
+    def look(self) -> None:
+        """See whether it goes well: no slice will come of a scan that failed.
+
+        Raises
+        ------
+        ScanFailed
+            Says what it said.
+        """
+        code = self.process.poll()
+        if code is not None and code < 0:
+            raise ScanFailed(f"the scan was killed by signal {-code}; {self._kept()}", 1)
+        if code:
+            raise ScanFailed(self._last_words() or f"the scan failed; {self._kept()}", code)
+
+    def end(self) -> None:
+        """See whether it ended well, now that it has no more to say.
 
         Raises
         ------
         ScanFailed
         """
-        if self.process.poll() not in (None, 0):
-            raise ScanFailed(self._last_words(), self.process.returncode)
+        try:
+            self.process.wait(_END_S)
+        except subprocess.TimeoutExpired as hanging:
+            raise ScanFailed(f"the scan hangs at its end; {self._kept()}", 1) from hanging
+        self.look()
+
+    def pause(self, seconds: float) -> None:
+        """Let some time pass for a follower.
+
+        Raises
+        ------
+        ScanFailed
+        """
+        self.look()
         time.sleep(seconds)
 
     def _last_words(self) -> str:
         lines = self.said.read_text(errors="replace").strip().splitlines()
-        words = lines[-1] if lines else f"the scan ended with exit code {self.process.returncode}"
-        return words.removeprefix("loftscan: ")
+        words = lines[-1].removeprefix("loftscan: ") if lines else ""
+        # Its station ends with the demo, so nobody can go on with it.
+        return re.sub(r"(slices are kept), go on with: .*", rf"\1 in {self.folder}", words)
+
+    def _kept(self) -> str:
+        return f"what it kept is in {self.folder}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SupervisedScan:
+    """A scan that is followed, and that must end well: a failed one gives no result."""
+
+    followed: FollowedScan
+    scan: Scanning
+
+    @property
+    def name(self) -> str:
+        """The folder's own name, so that a replay of it gives the same result."""
+        return self.followed.name
+
+    @property
+    def total(self) -> int | None:
+        """How many slices the plan has."""
+        return self.followed.total
+
+    def pieces(self) -> Generator[Piece]:
+        """The slices as they appear.
+
+        Raises
+        ------
+        ScanFailed
+        """
+        with closing(self.followed.pieces()) as pieces:
+            yield from pieces
+        self.scan.end()
+
+    def origin(self) -> Mapping[str, object]:
+        """What was scanned with what."""
+        return self.followed.origin()
+
+    def remarks(self) -> tuple[str, ...]:
+        """What a person should know of its end."""
+        return self.followed.remarks()
 
 
 def check_scan_folder(folder: Path, *, overwrite: bool) -> None:
@@ -100,14 +166,6 @@ def scanning(station: Simulated, folder: Path) -> Iterator[Scanning]:
             yield Scanning(process, folder, said)
         finally:
             _end(process)
-
-
-def slice_period_s(folder: Path) -> float:
-    """Median time between two slices, by the files' times."""
-    scan = ScanFolder(folder)
-    times_s = sorted(scan.file(index).stat().st_mtime_ns * 1e-9 for index in scan.indices())
-    steps = [after - before for before, after in itertools.pairwise(times_s)]
-    return statistics.median(steps) if steps else 0.0
 
 
 def judge(part: str, mesh: Path) -> dict[str, float]:

@@ -46,14 +46,19 @@ def of_scan(gathered: Gathered) -> dict[str, object]:
     }
 
 
-def lag(lags_s: Sequence[float]) -> dict[str, object]:
-    """How long sections came after their slices; nothing where no slice was waited for."""
+def lag(lags_s: Sequence[float], appeared_s: Sequence[float]) -> dict[str, object]:
+    """How long sections came after their slices, and how long the slices after one another.
+
+    Nothing where no slice was waited for.
+    """
     if not lags_s:
         return {}
+    steps_s = np.diff(np.sort(appeared_s))
     return {
         "lag_median_s": float(np.median(lags_s)),
         "lag_max_s": max(lags_s),
         "lag_slices": len(lags_s),
+        "slice_period_median_s": float(np.median(steps_s)) if len(steps_s) else None,
     }
 
 

@@ -312,7 +312,7 @@ _GROUPS = {
     "Sections": tuple(_SECTION_NAMES.split()),
     "Residuals": ("residual", "surface_deviation", "tolerance", "share_within", "within"),
     "Mesh": tuple(_MESH_NAMES.split()),
-    "Effort": ("seconds", "peak", "lag"),
+    "Effort": ("seconds", "peak", "lag", "slice_period"),
 }
 _UNITS = {"_mm": "mm", "_mm2": "mm²", "_mm3": "mm³", "_mb": "MB", "seconds": "s", "_s": "s"}
 
@@ -329,10 +329,10 @@ def _tables(result: Result) -> tuple[MetricGroup, ...]:
 
 
 def _fact(key: str, value: object) -> Fact:
-    unit = next((unit for ending, unit in _UNITS.items() if key.endswith(ending)), "")
-    label = key.removesuffix(f"_{unit}") if unit == "mm" else key
-    shown = value if isinstance(value, (str, int, float)) else str(value)
-    return Fact(label.replace("_", " "), shown, unit)
+    ending = next((ending for ending in _UNITS if key.endswith(ending)), "")
+    label = key.removesuffix(ending) if ending.startswith("_") else key
+    shown = value if isinstance(value, (str, int, float)) else "-" if value is None else str(value)
+    return Fact(label.replace("_", " "), shown, _UNITS.get(ending, ""))
 
 
 def _flat(content: dict[str, object], prefix: str = "") -> list[tuple[str, object]]:

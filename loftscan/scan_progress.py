@@ -88,6 +88,9 @@ class ScanTeller:
                 free_bytes=here.free_bytes,
             )  # fmt: skip
             return
+        if not here.missing:
+            self._print(f"{here.out}: all {len(here.kept)} slices are kept already")
+            return
         kept = f", {len(here.kept)} are kept already" if here.resumed else ""
         self._print(
             f"{here.out}: {cost.slices} slices{kept}, {cost.profiles} profiles, at least"

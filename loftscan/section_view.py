@@ -36,6 +36,7 @@ def fitted_figure(points_mm: FloatArray, found: SectionFit, *, title: str) -> Fi
         drawn, title=title, left_out_mm=left_out, measured=int(used.sum()),
     )  # fmt: skip
     whole = figure.axes[0]
+    whole.set_position((0.115, 0.1, 0.635, 0.82))  # room for long numbers
     size = float(np.ptp(points_mm, axis=0).max())
     factor = _exaggeration(found, size)
     _draw(whole, points_mm, found, factor)

@@ -21,7 +21,8 @@ from reconstruction.slices import Frame
 EXTENSIONS = (".npy", ".txt", ".csv", ".xyz", ".pts")
 _HEAD_LINES = 64  # within which the numbers must begin
 _LEVEL = 0.2  # of a slice's width: what is higher is no slice
-_SAMPLES = 4001  # of a curve, for its length
+_SAMPLES = 4001  # of a curve, for its length ...
+_CROSSING_SAMPLES = 1000  # ... and for its crossings
 
 
 def fit_section(
@@ -48,7 +49,11 @@ def fit_section(
     ValueError
         For an argument that cannot be meant.
     """
-    return _fit_section(points_mm, exact=Exact(exact))
+    try:
+        wanted = Exact(exact)
+    except ValueError as unknown:
+        raise ValueError(f"exact {exact!r}: 'auto' or 'never' expected") from unknown
+    return _fit_section(points_mm, exact=wanted)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,10 +199,12 @@ def describe(curve: FittedCurve, depth: int) -> dict[str, object]:
         "closed": curve.closed,
         "ambiguous": curve.ambiguous,
         "hole": curve.closed and depth % 2 == 1,
+        "crosses_itself": _crosses(places[:: _SAMPLES // _CROSSING_SAMPLES], closed=curve.closed),
         "length_mm": float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum()),
         **_dimensions(curve),
         "control_points": len(curve.curve.control_points_mm),
         "sigma_mm": curve.sigma_mm,
+        "least_radius_mm": _least_radius_mm(curve, grid),
         "residual_rms_mm": curve.residual_rms_mm,
         "residual_max_mm": curve.residual_max_mm,
         "points": curve.points_used,
@@ -207,6 +214,24 @@ def describe(curve: FittedCurve, depth: int) -> dict[str, object]:
         "gaps": [list(gap) for gap in _gaps(curve)],
         "creases": list(curve.creases),
     }
+
+
+def _crosses(places: FloatArray, *, closed: bool) -> bool:
+    """Whether a row of places (m, 2) crosses itself; the outline of a part never does."""
+    starts, ways = places[:-1], np.diff(places, axis=0)
+    arms = places[None, :, :] - starts[:, None, :]
+    sides = np.sign(ways[:, None, 0] * arms[..., 1] - ways[:, None, 1] * arms[..., 0])
+    parted = sides[:, :-1] * sides[:, 1:] < 0  # the ends of way j lie on both sides of way i
+    apart = np.abs(np.arange(len(ways))[:, None] - np.arange(len(ways)))
+    if closed:
+        apart = np.minimum(apart, len(ways) - apart)
+    return bool((parted & parted.T & (apart > 1)).any())
+
+
+def _least_radius_mm(curve: FittedCurve, grid: FloatArray) -> float | None:
+    """Of curvature; none of a line."""
+    sharpest = float(np.abs(curve.curvature(grid)).max())
+    return 1.0 / sharpest if sharpest > 0.0 else None
 
 
 def _dimensions(curve: FittedCurve) -> dict[str, object]:
@@ -270,7 +295,9 @@ def summary(piece: PlanarSlice, found: SectionFit) -> Mapping[str, object]:
         "lost": piece.lost,
         "strays": len(found.strays),
         "unordered": len(found.unordered),
+        "sigma_mm": found.sigma_mm,
         "thickness_mm": found.width_mm,
+        "band_mm": found.band_mm,
         "spacing_mm": found.spacing_mm if found.chains else None,
         "failures": list(found.failures),
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 from acquisition.plan import Plan, read_plan
@@ -17,13 +18,25 @@ def station_of(path: Path) -> Station:
         It is not there, cannot be read or is no station; says what to do.
     """
     _must_be_a_file(path, "run: loftscan init --out station.toml")
+    if _holds(path, "ring"):
+        raise ValueError(f"{path}: is a plan; name the station's file in its place")
     return read_station(path)
 
 
 def plan_of(path: Path) -> Plan:
     """Read a plan.toml; raises as `station_of`."""
     _must_be_a_file(path, "run: loftscan init --plan plan.toml")
+    if _holds(path, "profiler"):
+        raise ValueError(f"{path}: is a station; name the plan's file in its place")
     return read_plan(path)
+
+
+def _holds(path: Path, table: str) -> bool:
+    """Whether a file has a table that only the other kind has; what is no TOML has none."""
+    try:
+        return table in tomllib.loads(path.read_text(encoding="utf-8"))
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError):
+        return False
 
 
 def _must_be_a_file(path: Path, remedy: str) -> None:

@@ -106,6 +106,7 @@ class _Run:
         self._sections: list[Section] = []
         self._skipped: list[Skipped] = []
         self._lags_s: list[float] = []
+        self._appeared_s: list[float] = []
         self._base: Base | None = None
         self._total: int | None = None
         self._done = 0
@@ -149,6 +150,8 @@ class _Run:
         """How far it is. A slice that was there before the beginning has not waited for us."""
         lag_s: float | None = None
         appeared_s = None if arrival is None else arrival.appeared_s
+        if appeared_s is not None:
+            self._appeared_s.append(appeared_s)
         if appeared_s is not None and appeared_s >= self._begun_s:
             # Two clocks tell: a file's time may lie a tick ahead.
             lag_s = max(0.0, self._now_s() - appeared_s)
@@ -170,7 +173,7 @@ class _Run:
 
     def _concluded(self, gathered: Gathered, done: Reconstruction, deviation: Deviation) -> Result:
         numbers = metrics.gather(gathered, gathered, done, deviation)
-        numbers |= metrics.of_scan(gathered) | metrics.lag(self._lags_s)
+        numbers |= metrics.of_scan(gathered) | metrics.lag(self._lags_s, self._appeared_s)
         numbers |= metrics.resources(self._clock.seconds)
         remarks = self._source.remarks()
         missed = judge_arrivals(gathered, self._source.name)

@@ -26,7 +26,7 @@ from sim.arrays import FaceArray, FloatArray
 from sim.parts import find_part
 
 _FLAT = 1e-6  # of the mesh's height: so near to an end plane is in it
-_LONGEST_EDGE = 0.01  # of the size: larger triangles are cut, so that few are ever candidates
+_LONGEST_EDGE = 0.02  # of the size: larger triangles are cut, so that few are ever candidates
 _AT_ONCE = 4096  # points whose candidate triangles are in memory together
 
 
@@ -51,10 +51,7 @@ class Surface:
     def __init__(self, vertices_mm: FloatArray, faces: FaceArray) -> None:
         solid = faces[_areas(vertices_mm[faces]) > 0.0]
         edge_mm = float(np.linalg.norm(np.ptp(vertices_mm, axis=0))) * _LONGEST_EDGE
-        cut_mm, small = trimesh.remesh.subdivide_to_size(  # type: ignore[no-untyped-call]
-            vertices_mm, solid, edge_mm, max_iter=30
-        )
-        self.corners_mm: FloatArray = np.asarray(cut_mm[small], np.float64)
+        self.corners_mm: FloatArray = _cut(np.asarray(vertices_mm[solid], np.float64), edge_mm)
         self._middle_mm = self.corners_mm.mean(axis=1)
         # A triangle is within this of its middle: what is farther than the best by more than it
         # cannot be the nearest.
@@ -92,6 +89,25 @@ class Surface:
         outward = _nearest_side(self.corners_mm[triangle], away, squared, least[point])
         side = np.sign(np.add.reduceat(outward, starts))
         return np.asarray(np.sqrt(least) * np.where(side < 0.0, -1.0, 1.0))
+
+
+def _cut(corners_mm: FloatArray, edge_mm: float) -> FloatArray:
+    """Halve triangles (n, 3, 3) at their longest edge until none is longer: (m, 3, 3).
+
+    Only what is too long is cut, so that the long thin triangles of a wall become few.
+    """
+    short: list[FloatArray] = []
+    while len(corners_mm):
+        edges = np.linalg.norm(np.roll(corners_mm, -1, axis=1) - corners_mm, axis=2)
+        short.append(corners_mm[edges.max(axis=1) <= edge_mm])
+        long_mm = corners_mm[edges.max(axis=1) > edge_mm]
+        begins = edges.argmax(axis=1)[edges.max(axis=1) > edge_mm]
+        turned = (begins[:, None] + np.arange(3)) % 3
+        a, b, apex = np.take_along_axis(long_mm, turned[:, :, None], axis=1).swapaxes(0, 1)
+        middle = (a + b) / 2.0
+        halves = np.stack([a, middle, apex], axis=1), np.stack([middle, b, apex], axis=1)
+        corners_mm = np.concatenate(halves)
+    return np.concatenate([np.empty((0, 3, 3)), *short])
 
 
 def judge(truth: Surface, result: trimesh.Trimesh, *, samples: int, seed: int = 0) -> Judgement:

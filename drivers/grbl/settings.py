@@ -74,7 +74,7 @@ class Settings:
             lower, upper, wanted = map(self.to_wire, (self.lower, self.upper, position))
             raise Refused(
                 f"{self.name}: {wanted:.3f} {self.unit} is outside its limits"
-                f" {lower:.3f} to {upper:.3f}; change the plan"
+                f" {lower:.3f} to {upper:.3f}; change the target or the limits"
             )
 
     def check_steps(self, steps: float, *, code: int) -> None:

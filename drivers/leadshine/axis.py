@@ -302,7 +302,7 @@ class LeadshineStage:
         if not low_mm <= position_mm <= high_mm:
             raise Refused(
                 f"{self._name}: {position_mm:.3f} mm is outside its soft limits "
-                f"{low_mm:.3f} to {high_mm:.3f} mm; change the plan or the limits"
+                f"{low_mm:.3f} to {high_mm:.3f} mm; change the target or the limits"
             )
 
     def _must_be_homed(self) -> None:

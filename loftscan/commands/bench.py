@@ -36,7 +36,10 @@ def home(
     json_lines: JsonLines = False,
     debug: Debug = False,
 ) -> None:
-    """Find the axes' references; a table without a switch is 0 where it stands."""
+    """Find the axes' references.
+
+    A table without a switch is 0 where it stands. Each run begins unhomed: jog and scan home, too.
+    """
 
     def work() -> None:
         with _opened(station) as at:
@@ -117,7 +120,7 @@ def profile(
     json_lines: JsonLines = False,
     debug: Debug = False,
 ) -> None:
-    """Switch the laser on, show what the sensor sees, switch it off."""
+    """Show what the sensor sees; the laser is on meanwhile."""
 
     def work() -> None:
         from loftscan.profile_view import plot, table

@@ -30,7 +30,10 @@ def compare(
     json_lines: JsonLines = False,
     debug: Debug = False,
 ) -> None:
-    """Measure how far A lies from B: deviation map, statistics, verdict (exit 1 if out)."""
+    """Measure how far A lies from B: map, numbers, verdict.
+
+    Out of tolerance is exit code 1.
+    """
 
     def work() -> None:
         from loftscan.comparing import MARKS, compare_things

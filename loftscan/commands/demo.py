@@ -35,11 +35,14 @@ def demo(
     json_lines: JsonLines = False,
     debug: Debug = False,
 ) -> None:
-    """Scan a part on a simulated station, reconstruct it while it is scanned, judge the result."""
+    """Scan a simulated part, reconstruct it meanwhile, judge it.
+
+    The station is simulated on real wires; the scan goes beside the result, to OUT.scan.
+    """
 
     def work() -> None:
         from loftscan.cad_files import CadWriter
-        from loftscan.demo import ScanFailed, check_scan_folder, judge, scanning, slice_period_s
+        from loftscan.demo import ScanFailed, check_scan_folder, judge, scanning
         from loftscan.result import check_output
         from loftscan.simulation import simulate
 
@@ -56,9 +59,8 @@ def demo(
                 scanning(station, kept) as scan,
             ):
                 result = _followed(
-                    scan, Path(part).stem, out, wanted, cad,
-                    overwrite=overwrite, json_lines=json_lines,
-                )  # fmt: skip
+                    scan, out, wanted, cad, overwrite=overwrite, json_lines=json_lines
+                )
             told = judge(part, out / "mesh.stl")
         except ScanFailed as failed:
             fail(failed.code, str(failed))
@@ -67,14 +69,13 @@ def demo(
                 raise
             fail(3, f"stopped by the operator; the slices so far are kept in {kept}")
         tell(result, out, json_lines=json_lines)
-        _tell_truth(told, result, slice_period_s(kept), json_lines=json_lines)
+        _tell_truth(told, result, json_lines=json_lines)
 
     run(work, debug=debug)
 
 
 def _followed(
     scan: Scanning,
-    name: str,
     out: Path,
     formats: tuple[str, ...],
     cad: CadWriter,
@@ -83,25 +84,28 @@ def _followed(
     json_lines: bool,
 ) -> Result:
     """Fit every slice as it appears, and save the result."""
+    from loftscan.demo import SupervisedScan
     from loftscan.following import FollowedScan
+    from loftscan.interruption import interruptible
     from loftscan.reconstructing import Settings
     from loftscan.streaming import finish, stream
     from loftscan.warming import warm_up
     from loftscan.watching import watching
 
-    with watching(json_lines=json_lines) as watch:
-        coming = FollowedScan(scan.folder, pause=scan.pause)
-        updates = stream(coming, Settings(), name=name, progress=watch.step, prepare=warm_up)
+    with interruptible() as interruption, watching(json_lines=json_lines) as watch:
+        pause, progress = interruption.pausing(scan.pause), interruption.heeding(watch.step)
+        coming = SupervisedScan(FollowedScan(scan.folder, pause=pause), scan)
+        updates = stream(coming, Settings(), progress=progress, prepare=warm_up)
         result = finish(watch.passing(updates))
-        save(result, out, formats, cad, watch.step, overwrite=overwrite)
+        save(result, out, formats, cad, progress, overwrite=overwrite)
     return result
 
 
-def _tell_truth(
-    told: dict[str, float], result: Result, period_s: float, *, json_lines: bool
-) -> None:
+def _tell_truth(told: dict[str, float], result: Result, *, json_lines: bool) -> None:
     """Say how far the walls lie from the true part, and how far the fitting lagged behind."""
-    lag_s = result.metrics.get("lag_median_s")
+    lag_s, period_s = (
+        result.metrics.get(name) for name in ("lag_median_s", "slice_period_median_s")
+    )
     if json_lines:
         print(json.dumps({"event": "truth", **told}))
         print(json.dumps({"event": "lag", "median_s": lag_s, "slice_period_s": period_s}))
@@ -111,5 +115,5 @@ def _tell_truth(
         f" ({told['mean_mm']:+.3f} mm on average, 95 % within {told['percentile_95_mm']:.3f} mm,"
         f" all within {told['max_mm']:.3f} mm; {told['points']} points, caps left out)"
     )
-    if isinstance(lag_s, float):
+    if isinstance(lag_s, float) and isinstance(period_s, float):
         print(f"live: a section {lag_s:.2f} s after its slice; a slice every {period_s:.2f} s")

@@ -25,7 +25,7 @@ def devices(
     json_lines: JsonLines = False,
     debug: Debug = False,
 ) -> None:
-    """Say what is there, who holds it, what is missing, and how to fix each."""
+    """Say what is there, who holds it, and how to fix the rest."""
 
     def work() -> None:
         if station is None:

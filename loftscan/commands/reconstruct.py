@@ -66,7 +66,7 @@ def reconstruct(
     json_lines: JsonLines = False,
     debug: Debug = False,
 ) -> None:
-    """Turn a scan or a point cloud into a watertight mesh, NURBS patches and a report."""
+    """Turn a scan or a cloud into a mesh, NURBS and a report."""
 
     def work() -> None:
         from loftscan.cad_files import CadWriter
@@ -100,12 +100,14 @@ def _made(
     """The result of what is there, and the progress to go on with."""
     from acquisition.scanfile import ScanFolder
     from loftscan.following import KeptScan
+    from loftscan.interruption import interruptible
     from loftscan.progress import bars
     from loftscan.reconstructing import reconstruct_with
     from loftscan.scans import is_scan
     from loftscan.streaming import finish, stream
 
-    with bars(json_lines=json_lines) as progress:
+    with interruptible() as interruption, bars(json_lines=json_lines) as shown:
+        progress = interruption.heeding(shown)
         if is_scan(source):
             kept = KeptScan(ScanFolder.open(source))
             yield finish(stream(kept, settings, progress=progress)), progress
@@ -119,6 +121,7 @@ def _followed(
 ) -> Iterator[tuple[Result, Progress]]:
     """The result of a scan that another program is writing, told slice by slice."""
     from loftscan.following import FollowedScan, is_begun
+    from loftscan.interruption import interruptible
     from loftscan.streaming import check_settings, finish, stream
     from loftscan.warming import warm_up
     from loftscan.watching import watching
@@ -126,18 +129,21 @@ def _followed(
     check_settings(settings)
     if not is_begun(source) and not json_lines:
         typer.echo(f"waiting for {source} to begin, at most {patience_s:g} s", err=True)
-    with watching(json_lines=json_lines) as watch:
-        coming = FollowedScan(source, patience_s=patience_s)
-        updates = stream(coming, settings, progress=watch.step, prepare=warm_up)
-        yield finish(watch.passing(updates)), watch.step
+    with interruptible() as interruption, watching(json_lines=json_lines) as watch:
+        pause, progress = interruption.pausing(), interruption.heeding(watch.step)
+        coming = FollowedScan(source, patience_s=patience_s, pause=pause)
+        updates = stream(coming, settings, progress=progress, prepare=warm_up)
+        yield finish(watch.passing(updates)), progress
 
 
 def _tell_lag(result: Result) -> None:
     numbers = result.metrics
     if "lag_median_s" in numbers:
+        period_s = numbers["slice_period_median_s"]
         print(
             f"lag: {numbers['lag_median_s']:.2f} s from a slice's file to its section, at most"
             f" {numbers['lag_max_s']:.2f} s, of {numbers['lag_slices']} slices"
+            + ("" if period_s is None else f"; a slice every {period_s:.2f} s")
         )
 
 

@@ -17,11 +17,22 @@ def run(work: Callable[[], None], *, debug: bool) -> None:
     """Run a command's work and turn what is known to go wrong into a line and an exit code."""
     try:
         work()
+    except SystemError as broken:
+        if debug or not _was_interrupted(broken):
+            raise
+        fail(3, _say(KeyboardInterrupt()))
     # Evaluated only when something went wrong: no command waits for what it does not use.
     except _known_errors() as error:
         if debug:
             raise
         fail(_exit_code(error), _say(error))
+
+
+def _was_interrupted(error: BaseException | None) -> bool:
+    """Whether it is what compiled code, entered just then, made of a Ctrl-C; in several steps."""
+    while isinstance(error, SystemError):
+        error = error.__cause__
+    return isinstance(error, KeyboardInterrupt)
 
 
 def fail(code: int, message: str) -> NoReturn:

@@ -46,6 +46,8 @@ def scan(
     """Scan slice by slice into a .scan folder. Ctrl-C pauses after the slice, twice stops now."""
 
     def work() -> None:
+        if at_zero and not resume:
+            raise ValueError("--at-zero: says where a resumed scan stands; add --resume")
         from signal import SIGHUP, SIGINT, SIGTERM
 
         from acquisition.scan import PartStands, StopRequest

@@ -98,7 +98,8 @@ def _tell(piece: PlanarSlice, found: SectionFit, out: Path | None) -> None:
     if piece.lost:
         typer.echo(f"warning: {piece.lost} rows without finite numbers were set aside", err=True)
     print(
-        f"{piece.name}: {len(piece.points_mm)} points, cloud width {found.width_mm:.3g} mm,"
+        f"{piece.name}: {len(piece.points_mm)} points, cloud width {found.width_mm:.3g} mm"
+        f" (4 sigma; full band {found.band_mm:.3g}),"
         f" {len(found.strays)} stray, {len(found.unordered)} unordered"
     )
     for number, curve in enumerate(descriptions(found)):
@@ -116,20 +117,23 @@ def _tell_json(piece: PlanarSlice, found: SectionFit, out: Path | None) -> None:
 
 
 def _line(curve: dict[str, Any]) -> str:
-    gaps = f"{len(curve['gaps'])} gap{'s' * (len(curve['gaps']) != 1)}"
     words = [
         f"{_shape(curve)}, {curve['length_mm']:.5g} mm long",
         f"{curve['control_points']} control points",
         f"sigma {curve['sigma_mm']:.3g} mm",
         f"residual rms {curve['residual_rms_mm']:.3g} mm of {curve['points']} points",
         f"95 % band ±{curve['band_95_median_mm']:.2g} mm, at most {curve['band_95_max_mm']:.2g}",
-        gaps,
+        _count(len(curve["gaps"]), "gap"),
     ]
     if curve["creases"]:
-        words.append(f"{len(curve['creases'])} corners")
+        words.append(_count(len(curve["creases"]), "corner"))
     if curve["outliers"]:
-        words.append(f"{curve['outliers']} outliers")
+        words.append(_count(curve["outliers"], "outlier"))
     return ", ".join(words)
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'s' * (number != 1)}"
 
 
 def _shape(curve: dict[str, Any]) -> str:
@@ -137,6 +141,8 @@ def _shape(curve: dict[str, Any]) -> str:
     if curve["ambiguous"]:
         ends = f"ambiguous, read as {ends}"
     words = f"{curve['kind']}, {ends}{', a hole' if curve['hole'] else ''}"
+    if curve["crosses_itself"]:
+        words += ", crosses itself"
     if "radius_mm" in curve:
         words += f", radius {curve['radius_mm']:.5g} mm"
     if "half_axes_mm" in curve:

@@ -11,7 +11,7 @@ SETTINGS = {"allow_extra_args": True, "ignore_unknown_options": True, "help_opti
 
 
 def sim(context: typer.Context) -> None:
-    """Serve a simulated station until Ctrl-C; `loftscan sim --help` says its options."""
+    """Serve a simulated station until Ctrl-C."""
     from loftscan.simulation import simulator_command
 
     sys.stdout.flush()

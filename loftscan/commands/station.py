@@ -49,7 +49,10 @@ def init(
     standoff_mm: Length = None,
     debug: Debug = False,
 ) -> None:
-    """Write a commented station.toml; asks on a terminal for what no option says."""
+    """Write a commented station.toml for your devices.
+
+    Asks on a terminal for what no option says; elsewhere that is marked PLACEHOLDER.
+    """
     said = {
         "table.address": table,
         "table.steps_per_deg": steps_per_deg,

@@ -9,7 +9,7 @@ for the fit of the raw points to find. ::
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -46,3 +46,39 @@ class Chain:
         """Along the nodes, the way back of a closed chain included."""
         ends = np.vstack([self.nodes_mm, self.nodes_mm[:1]]) if self.closed else self.nodes_mm
         return float(np.linalg.norm(np.diff(ends, axis=0), axis=1).sum())
+
+    def other_reading(self) -> tuple[Chain, ...]:
+        """What else the points of an ambiguous chain may be; of another, nothing.
+
+        A closed chain opened at its widest gap; an open one parted at its widest gap, or closed
+        where its ends lie nearer to each other than that.
+        """
+        if not self.ambiguous:
+            return ()
+        ways = np.linalg.norm(np.roll(self.nodes_mm, -1, axis=0) - self.nodes_mm, axis=1)
+        wide = np.isin(np.arange(len(ways)), self.gaps)
+        if self.closed:
+            return (self._from(int(np.argmax(np.where(wide.any(), ways * wide, ways)))),)
+        cut = int(np.argmax(ways * wide))
+        if wide.any() and ways[cut] >= ways[-1] and 1 <= cut < len(ways) - 2:
+            return self._part(0, cut + 1), self._part(cut + 1, len(ways))
+        if len(ways) < 3:
+            return ()
+        return (replace(self, closed=True, gaps=(*self.gaps, len(ways) - 1)),)
+
+    def _from(self, cut: int) -> Chain:
+        """A closed chain opened after a node."""
+        count = len(self.nodes_mm)
+        turned = np.roll(np.arange(count), -cut - 1)
+        gaps = tuple(sorted((gap - cut - 1) % count for gap in self.gaps if gap != cut))
+        return replace(
+            self, nodes_mm=self.nodes_mm[turned], sigma_mm=self.sigma_mm[turned], closed=False,
+            gaps=gaps,
+        )  # fmt: skip
+
+    def _part(self, start: int, stop: int) -> Chain:
+        """Some nodes of an open chain."""
+        gaps = tuple(gap - start for gap in self.gaps if start <= gap < stop - 1)
+        return replace(
+            self, nodes_mm=self.nodes_mm[start:stop], sigma_mm=self.sigma_mm[start:stop], gaps=gaps
+        )

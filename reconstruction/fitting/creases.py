@@ -1,99 +1,112 @@
 """Creases: corners that a smooth curve can only round.
 
-Where the smooth fit turns much within its own resolution and little beside it, the run is cut; each
-piece is fitted by itself a little past the cut, neighbours meet where they cross, and the pieces
-become one curve with threefold knots at the corners. The corners stay if the one-sided tangents
-differ by more than three standard deviations and the pieces explain the points with less freedom
-than the smooth curve (Schwarz 1978), and if the raw points about
-each corner lie on both sides of it alike. Cells beside a cut may hold both walls and are left out.
+Where the smooth fit turns much within its own resolution and little beside it, the run is cut into
+pieces that meet at corners (`pieces`); they become one curve with threefold knots there. A corner
+stays if its one-sided tangents differ by more than three standard deviations and by most of what
+the smooth curve turns, and if the raw points about it lie as near to it as to the smooth curve
+(`misfits`); all of them, if they explain the points with less freedom (Schwarz 1978).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from itertools import pairwise, product
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from reconstruction.arrays import FloatArray, IntArray
-from reconstruction.errors import ReconstructionError
+from reconstruction.arrays import BoolArray, FloatArray
 from reconstruction.fitting.bending import span_lengths
+from reconstruction.fitting.misfits import MIXED, excess
 from reconstruction.fitting.moments import ArcCells
-from reconstruction.fitting.preliminary import reknotted, through
+from reconstruction.fitting.pieces import (
+    WINDOW,
+    Corner,
+    Cut,
+    Piece,
+    corner_cost,
+    cut_at,
+    met,
+    preferred,
+    stilled,
+)
 from reconstruction.fitting.recognition import Shape
-from reconstruction.fitting.smoothing import Fit, Noise, smooth
+from reconstruction.fitting.smoothing import Fit, Noise
 from reconstruction.fitting.spline import evaluate, nurbs_of
 from reconstruction.fitting.uncertainty import deviations_along, variances_at
-from reconstruction.nurbs import Curve, curve_derivatives
+from reconstruction.nurbs import Curve
 
 _A_SPAN = 8  # places on the smooth curve
-_WINDOW = 4.0  # spans in which a rounded corner turns
+_PLACES = 60  # to either side of a corner
 _LEAST_TURN = math.radians(20)
 _CONCENTRATED = 0.6  # share of the turning in three windows that a corner does in one
 _MOST = 24  # corners
-_LOST = 16.0  # squared deviations that a point set aside costs
-_MIXED = 1.0  # spans beside a cut
-_ABOUT = (1.0, 3.0)  # spans to either side of a corner, in each of which it must be centred
-_FARTHEST = 5.0  # standard deviations
-_LEAST_CELLS = 12  # of a piece
+_MOSTLY = 0.6  # share of a bend's turning that a corner does at once
 _SIGNIFICANT = 3.0  # standard deviations of the angle
-_CENTRED = 2.5  # standard deviations of the mean distance about a corner
-_DEAR = 4.0  # degrees of freedom that a corner must save
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Piece:
-    fit: Fit
-    rows: IntArray  # of the cells
 
 
 def creased(fit: Fit, cells: ArcCells, points: FloatArray) -> Shape | None:
-    """Return the curve with corners, if the points (n, 2) prefer it to the smooth one."""
-    cuts = _suspects(fit)
-    if not len(cuts):
+    """Return the curve with corners, if the points (n, 2) prefer it to the smooth one.
+
+    Suspects that turn out to be bends are dropped, and the others tried again.
+    """
+    cuts, turns = _suspects(fit)
+    while len(cuts):
+        cut = cut_at(fit, cells, cuts)
+        if cut is None:
+            return None
+        worse = _excesses(cut.corners, fit, points, cuts, cut.noise)
+        dear = cut.noise.inflation * corner_cost(cells, cut.noise)
+        sound = _sharp(cut.corners, turns) & (worse < dear)
+        if sound.all():
+            return _joined(cut, fit, cells, float(worse.sum()))
+        cuts, turns = cuts[sound], turns[sound]
+    return None
+
+
+def _joined(cut: Cut, fit: Fit, cells: ArcCells, worse: float) -> Shape | None:
+    """The pieces as one curve, if they are preferred to the smooth one."""
+    pieces = met(cut, cells)
+    if pieces is None or not preferred(fit, cells, pieces, cut.noise, worse):
         return None
-    rows = _clear(fit, cells, cuts)
-    pieces = [_fitted(fit, cells, rows, start, end) for start, end in _ways(fit, cuts)]
-    whole = [piece for piece in pieces if piece is not None]
-    if len(whole) < len(pieces):
-        return None
-    met = _met(whole, cells, rows, closed=fit.closed)
-    if met is None or not _preferred(fit, cells, met) or not _sharp(met, closed=fit.closed):
-        return None
-    shape = _joined(met, cells, closed=fit.closed)
-    trials = product(shape.creases, _ABOUT)
-    return shape if all(_centred(shape, fit, points, *trial) for trial in trials) else None
+    return _shape(stilled(pieces, cells, cut.noise), cells, cut.noise, closed=fit.closed)
 
 
-def _clear(fit: Fit, cells: ArcCells, cuts: FloatArray) -> IntArray:
-    """Rows of the cells that belong to one side only: beside a cut they may hold both."""
-    away = np.abs(fit.t[:, None] - cuts)
-    if fit.closed:
-        away = np.minimum(away, fit.spans - away)
-    return np.flatnonzero((away.min(axis=1) > _MIXED) & (cells.counts > 0))
+def _excesses(
+    corners: list[Corner], fit: Fit, points: FloatArray, cuts: FloatArray, noise: Noise
+) -> FloatArray:
+    reach = MIXED * float(span_lengths(fit.control_mm, fit.spans).mean())
+    sigma = math.sqrt(noise.variance_mm2)
+    return np.array(
+        [
+            excess(corner.line(reach, _PLACES), fit, points, cut, sigma)
+            for corner, cut in zip(corners, cuts, strict=True)
+        ]
+    )
 
 
-def _suspects(fit: Fit) -> FloatArray:
-    """Parameters where the smooth curve turns much in a short way."""
+def _suspects(fit: Fit) -> tuple[FloatArray, FloatArray]:
+    """Parameters where the smooth curve turns much in a short way, and how much, in rad."""
     t = np.arange(_A_SPAN * fit.spans) / _A_SPAN
     _, first, second = evaluate(fit.control_mm, t)
     square = np.maximum((first**2).sum(axis=1), 1e-300)
     turning = (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / square / _A_SPAN
-    near = _summed(turning, int(_WINDOW * _A_SPAN), closed=fit.closed)
-    wide = _summed(np.abs(turning), int(3 * _WINDOW * _A_SPAN), closed=fit.closed)
+    near = _summed(turning, int(WINDOW * _A_SPAN), closed=fit.closed)
+    wide = _summed(np.abs(turning), int(3 * WINDOW * _A_SPAN), closed=fit.closed)
     sharp = np.where(np.abs(near) > _CONCENTRATED * wide, np.abs(near), 0.0)
-    cuts: list[float] = []
+    turned = np.abs(near)
+    cuts: list[int] = []
     for _ in range(_MOST):
         best = int(sharp.argmax())
         if sharp[best] < _LEAST_TURN:
             break
-        cuts.append(float(t[best]))
+        cuts.append(best)
         away = np.abs(t - t[best])
-        sharp[np.minimum(away, fit.spans - away) < 2 * _WINDOW] = 0.0
-    inner = _WINDOW, fit.spans - _WINDOW
-    return np.sort([cut for cut in cuts if fit.closed or inner[0] < cut < inner[1]])
+        sharp[np.minimum(away, fit.spans - away) < 2 * WINDOW] = 0.0
+    found = np.sort(np.array(cuts, dtype=np.int64))
+    inner = (t[found] > WINDOW) & (t[found] < fit.spans - WINDOW)
+    found = found if fit.closed else found[inner]
+    return t[found], turned[found]
 
 
 def _summed(values: FloatArray, window: int, *, closed: bool) -> FloatArray:
@@ -104,190 +117,40 @@ def _summed(values: FloatArray, window: int, *, closed: bool) -> FloatArray:
     return np.asarray(sums[2 * half + 1 :] - sums[: -2 * half - 1])
 
 
-def _ways(fit: Fit, cuts: FloatArray) -> list[tuple[float, float]]:
-    """Start and end of every piece; of a closed curve the last runs over the seam."""
-    if fit.closed:
-        ends = np.append(cuts[1:], cuts[0] + fit.spans)
-        return list(zip(cuts.tolist(), ends.tolist(), strict=True))
-    return list(pairwise([0.0, *cuts.tolist(), float(fit.spans)]))
+def _sharp(corners: list[Corner], turns: FloatArray) -> BoolArray:
+    """Which corners turn by more than their one-sided tangents are uncertain, in order.
 
-
-def _fitted(fit: Fit, cells: ArcCells, rows: IntArray, start: float, end: float) -> _Piece | None:
-    """Fit the cells of one piece by a curve that runs on past its cuts."""
-    share = fit.t[rows] - start
-    share = np.mod(share, fit.spans) if fit.closed else share
-    rows = rows[(share >= 0) & (share <= end - start)]
-    if len(rows) < _LEAST_CELLS:
-        return None
-    places = _straightened(fit, start, end)
-    along = np.concatenate([[0.0], np.linalg.norm(np.diff(places, axis=0), axis=1).cumsum()])
-    spans = max(int(end - start), 4)
-    t = along / along[-1] * spans
-    control = through(places, t, spans, closed=False)
-    own = cells.only(rows)
-    feet = t[cKDTree(places).query(own.means_mm)[1]]
-    noise = Noise(fit.noise.variance_mm2, fit.noise.relative[rows], fit.noise.inflation)
-    try:
-        return _Piece(smooth(own, control, feet, noise, closed=False), rows)
-    except ReconstructionError:
-        return None
-
-
-def _straightened(fit: Fit, start: float, end: float) -> FloatArray:
-    """The smooth curve without its rounded corners, drawn on along its tangents past the cuts."""
-    margin = min(_WINDOW / 2, (end - start) / 4)
-    first = margin if fit.closed or start > 0.0 else 0.0
-    last = margin if fit.closed or end < fit.spans else 0.0
-    t = np.linspace(start + first, end - last, 8 * max(int(end - start), 4))
-    places, tangents, _ = evaluate(fit.control_mm, np.mod(t, fit.spans) if fit.closed else t)
-    beyond = np.linspace(0.0, 2.5, 12)[1:, None]
-    head = places[0] - first * beyond[::-1] * tangents[0]
-    tail = places[-1] + last * beyond * tangents[-1]
-    return np.vstack([head[: 12 * (first > 0)], places, tail[: 12 * (last > 0)]])
-
-
-def _met(
-    pieces: list[_Piece], cells: ArcCells, rows: IntArray, *, closed: bool
-) -> list[_Piece] | None:
-    """Trim the pieces where they cross, share the cells anew, and fit between the corners."""
-    stretches = [[0.0, float(piece.fit.spans)] for piece in pieces]
-    for one in range(len(pieces) if closed else len(pieces) - 1):
-        other = (one + 1) % len(pieces)
-        crossing = _crossing(pieces[one].fit, pieces[other].fit)
-        if crossing is None:
-            return None
-        stretches[one][1], stretches[other][0] = crossing
-    if any(not end - start > 1.0 for start, end in stretches):
-        return None
-    trimmed = [_trimmed(piece.fit, *ends) for piece, ends in zip(pieces, stretches, strict=True)]
-    fine = [np.linspace(0.0, len(control) - 3, 60 * len(control)) for control in trimmed]
-    trees = [cKDTree(evaluate(c, t)[0]) for c, t in zip(trimmed, fine, strict=True)]
-    found = [tree.query(cells.means_mm[rows]) for tree in trees]
-    owner = np.argmin(np.stack([np.asarray(distances) for distances, _ in found]), axis=0)
-    noise = pieces[0].fit.noise
-    out = []
-    for k, (control, t) in enumerate(zip(trimmed, fine, strict=True)):
-        own = np.flatnonzero(owner == k)
-        try:
-            again = smooth(
-                cells.only(rows[own]), control, t[np.asarray(found[k][1])[own]],
-                Noise(noise.variance_mm2, np.ones(len(own)), noise.inflation),
-                closed=False, log_stiffness=pieces[k].fit.log_stiffness,
-            )  # fmt: skip
-        except ReconstructionError:
-            return None
-        out.append(_Piece(again, rows[own]))
-    return out
-
-
-def _trimmed(fit: Fit, start: float, end: float) -> FloatArray:
-    return reknotted(fit.control_mm, max(int(end - start), 4), closed=False, within=(start, end))
-
-
-def _crossing(one: Fit, other: Fit) -> tuple[float, float] | None:
-    """Parameters at which the end of one piece crosses the start of the next."""
-    t = np.linspace(0.5 * one.spans, one.spans, 200)
-    u = np.linspace(0.0, 0.5 * other.spans, 200)
-    a, b = evaluate(one.control_mm, t)[0], evaluate(other.control_mm, u)[0]
-    p, q = np.diff(a, axis=0)[:, None, :], np.diff(b, axis=0)[None, :, :]
-    arms = b[None, :-1] - a[:-1, None]
-    cross = p[..., 0] * q[..., 1] - p[..., 1] * q[..., 0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        s = (arms[..., 0] * q[..., 1] - arms[..., 1] * q[..., 0]) / cross
-        r = (arms[..., 0] * p[..., 1] - arms[..., 1] * p[..., 0]) / cross
-    hits = np.argwhere((s >= 0) & (s < 1) & (r >= 0) & (r < 1))
-    if not len(hits):
-        return None
-    i, j = hits[0]
-    return float(t[i] + s[i, j] * (t[1] - t[0])), float(u[j] + r[i, j] * (u[1] - u[0]))
-
-
-def _preferred(fit: Fit, cells: ArcCells, pieces: list[_Piece]) -> bool:
-    price = math.log(max(cells.total / fit.noise.inflation, 2.0))
-    smooth_cost = fit.edf * price
-    cost = len(pieces) * _DEAR * price
-    for piece in pieces:
-        noise = Noise(fit.noise.variance_mm2, fit.noise.relative[piece.rows], fit.noise.inflation)
-        counts, rows = cells.counts[piece.rows], piece.rows
-        own = piece.fit
-        cost += own.edf * price + _misfit(
-            counts, own.distances_mm, own.scatters_mm2, own.weights, noise
-        )
-        smooth_cost += _misfit(
-            counts, fit.distances_mm[rows], fit.scatters_mm2[rows], fit.weights[rows], noise
-        )
-    return cost < smooth_cost
-
-
-def _centred(shape: Shape, fit: Fit, points: FloatArray, corner: float, about: float) -> bool:
-    """Whether the points around a corner lie on both sides of it alike.
-
-    To a corner that overshoots a round bend no point lies far, as there are two sides to choose
-    from; but all lie inside. Isotropic noise puts sigma**2 / 2 times the turn outside.
+    And by most of what the smooth curve turns there: else it is a bend, cut in two.
     """
-    lengths = span_lengths(fit.control_mm, fit.spans)
-    reach = about * float(lengths.mean())
-    ahead = np.linspace(-1.0, 1.0, 101) * reach / float(lengths.sum())
-    places, tangents = curve_derivatives(shape.curve, np.mod(corner + ahead, 1.0), 1)
-    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-    before, after = tangents[49], tangents[51]
-    turn = math.atan2(before[0] * after[1] - before[1] * after[0], float(before @ after))
-    tangents[50] = (before + after) / 2
-    sigma = math.sqrt(fit.noise.variance_mm2)
-    off, nearest = cKDTree(places).query(points, distance_upper_bound=_FARTHEST * sigma)
-    off, nearest = np.asarray(off), np.asarray(nearest)
-    near = np.flatnonzero(np.isfinite(off) & (nearest > 0) & (nearest < 100))
-    if len(near) < _LEAST_CELLS / 2:
-        return False
-    arms, way = points[near] - places[nearest[near]], tangents[nearest[near]]
-    left = np.where(way[:, 0] * arms[:, 1] > way[:, 1] * arms[:, 0], off[near], -off[near])
-    usual = -0.5 * fit.noise.variance_mm2 * turn / (2 * reach)
-    chance = _CENTRED * sigma * math.sqrt(fit.noise.inflation / len(near))
-    return abs(float(left.mean()) - usual) < chance + 0.3 * abs(usual)
-
-
-def _misfit(
-    counts: FloatArray,
-    distances: FloatArray,
-    scatters: FloatArray,
-    weights: FloatArray,
-    noise: Noise,
-) -> float:
-    squares = (distances**2 + scatters) / (noise.variance_mm2 * noise.relative)
-    lost = _LOST * (1.0 - weights)
-    return float((counts * (weights * squares + lost)).sum()) / noise.inflation
-
-
-def _sharp(pieces: list[_Piece], *, closed: bool) -> bool:
-    """Whether every corner turns by more than its one-sided tangents are uncertain."""
-    for one in range(len(pieces) if closed else len(pieces) - 1):
-        before, after = pieces[one].fit, pieces[(one + 1) % len(pieces)].fit
-        p, da = _tangent(before, float(before.spans), -1.0)
-        q, db = _tangent(after, 0.0, 1.0)
+    sharp = []
+    for corner, whole in zip(corners, turns, strict=True):
+        p, da = _tangent(corner.before.fit, corner.end, -1.0)
+        q, db = _tangent(corner.after.fit, corner.start, 1.0)
         turn = abs(math.atan2(p[0] * q[1] - p[1] * q[0], float(p @ q)))
-        if turn < max(_LEAST_TURN, _SIGNIFICANT * math.hypot(da, db)):
-            return False
-    return True
+        sharp.append(turn >= max(_LEAST_TURN, _MOSTLY * whole, _SIGNIFICANT * math.hypot(da, db)))
+    return np.array(sharp)
 
 
 def _tangent(fit: Fit, at: float, inward: float) -> tuple[FloatArray, float]:
     """Tangent at an end, and roughly its standard deviation: the band's over two spans."""
-    t = np.array([at, at + inward * min(2.0, fit.spans / 2)])
+    t = np.clip([at, at + inward * min(2.0, fit.spans / 2)], 0.0, fit.spans)
     places, first, _ = evaluate(fit.control_mm, t)
     deviation = np.sqrt(variances_at(fit.control_mm, fit.inverse, t, closed=False))
     length = max(float(np.linalg.norm(places[1] - places[0])), 1e-300)
     return first[0], float(deviation.max()) / length
 
 
-def _joined(pieces: list[_Piece], cells: ArcCells, *, closed: bool) -> Shape:
+def _shape(pieces: list[Piece], cells: ArcCells, noise: Noise, *, closed: bool) -> Shape:
     """One curve, parametrised by length, threefold knots at the corners."""
     lengths = [float(span_lengths(p.fit.control_mm, p.fit.spans).sum()) for p in pieces]
     stops = np.concatenate([[0.0], np.cumsum(lengths)]) / sum(lengths)
     curve = _curve(pieces, stops, closed=closed)
-    fine = np.linspace(0.0, 1.0, 4097)
-    found = cKDTree(curve(fine)).query(cells.means_mm)
-    distances, u = np.asarray(found[0]), fine[np.asarray(found[1])]
-    scatters = np.zeros(len(cells))
+    fine = np.linspace(0.0, 1.0, 1025)
+    distances, u, scatters = np.zeros((3, len(cells)))
+    rest = np.ones(len(cells), np.bool_)
+    rest[np.concatenate([piece.rows for piece in pieces])] = False
+    found = cKDTree(curve(fine)).query(cells.means_mm[rest])
+    distances[rest], u[rest] = np.asarray(found[0]), fine[np.asarray(found[1])]
     grid = np.linspace(0.0, 1.0, 1025)
     deviations = np.empty(len(grid))
     for piece, start, end in zip(pieces, stops[:-1], stops[1:], strict=True):
@@ -304,11 +167,11 @@ def _joined(pieces: list[_Piece], cells: ArcCells, *, closed: bool) -> Shape:
     variance = np.average([piece.fit.noise.variance_mm2 for piece in pieces], weights=counts)
     return Shape(
         "free", curve, deviations, u, distances, scatters, edf, tuple(corners.tolist()),
-        float(variance),
+        replace(noise, variance_mm2=float(variance)),
     )  # fmt: skip
 
 
-def _curve(pieces: list[_Piece], stops: FloatArray, *, closed: bool) -> Curve:
+def _curve(pieces: list[Piece], stops: FloatArray, *, closed: bool) -> Curve:
     clamped = [nurbs_of(piece.fit.control_mm, closed=False) for piece in pieces]
     points: list[FloatArray] = []
     knots: list[FloatArray] = []

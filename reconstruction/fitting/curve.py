@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reconstruction.arrays import FloatArray, frozen
-from reconstruction.fitting.chain import Chain
 from reconstruction.fitting.moments import ArcCells
 from reconstruction.fitting.recognition import Shape
 from reconstruction.fitting.smoothing import Fit
@@ -25,7 +24,7 @@ class Exact(Enum):
     NEVER = "never"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class FittedCurve:
     """A section with its noise, its uncertainty, its gaps, and the moments it was fitted to."""
 
@@ -49,6 +48,18 @@ class FittedCurve:
         object.__setattr__(self, "deviations_mm", frozen(self.deviations_mm))
         object.__setattr__(self, "u", frozen(self.u))
 
+    def __repr__(self) -> str:
+        gaps, corners = len(self.gaps), len(self.creases)
+        words = [
+            f"{self.kind}, {'closed' if self.closed else 'open'}",
+            *(["ambiguous"] if self.ambiguous else []),
+            f"{len(self.curve.control_points_mm)} control points",
+            f"{self.points_used} points, sigma {self.sigma_mm:.3g} mm",
+            *([f"{gaps} gap{'s' * (gaps > 1)}"] if gaps else []),
+            *([f"{corners} corner{'s' * (corners > 1)}"] if corners else []),
+        ]
+        return f"<FittedCurve: {', '.join(words)}>"
+
     def __call__(self, u: ArrayLike) -> FloatArray:
         """Points (m, 2) in mm at parameters (m,), or one point (2,) at a scalar."""
         return self.curve(u)
@@ -66,51 +77,79 @@ class FittedCurve:
     def deviation_mm(self, u: ArrayLike) -> FloatArray:
         """Posterior standard deviation across the curve; (m,) -> (m,). 1.96 of it is the band."""
         start, end = self.domain
-        at = np.atleast_1d(np.asarray(u, dtype=np.float64))
+        at = np.asarray(u, dtype=np.float64)
         if self.closed:
             at = start + np.mod(at - start, end - start)
         grid = np.linspace(start, end, len(self.deviations_mm))
         return np.asarray(np.interp(at, grid, self.deviations_mm))
 
     def covariance(self, u: ArrayLike) -> FloatArray:
-        """Posterior covariance (m, 2, 2) in mm2: across the curve only, as along it is gauge."""
-        at = np.atleast_1d(np.asarray(u, dtype=np.float64))
-        normals = self.normals(at)
-        return np.asarray(
-            self.deviation_mm(at)[:, None, None] ** 2 * normals[:, :, None] * normals[:, None, :]
-        )
+        """Posterior covariance in mm2: across the curve only, as along it is gauge.
+
+        (m, 2, 2) at parameters (m,), or (2, 2) at a scalar.
+        """
+        normals = self.normals(u)
+        products = normals[..., :, None] * normals[..., None, :]
+        return np.asarray(self.deviation_mm(u)[..., None, None] ** 2 * products)
 
     def normals(self, u: ArrayLike) -> FloatArray:
-        """Unit left normals (m, 2)."""
+        """Unit left normals (m, 2), or one (2,) at a scalar."""
         tangents = curve_derivatives(self.curve, np.atleast_1d(np.asarray(u, float)), 1)[1]
         lengths = np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-300)
-        return np.asarray(np.stack([-tangents[:, 1], tangents[:, 0]], axis=1) / lengths)
+        normals = np.stack([-tangents[:, 1], tangents[:, 0]], axis=1) / lengths
+        return np.asarray(normals[0] if np.ndim(u) == 0 else normals)
+
+    def curvature(self, u: ArrayLike) -> FloatArray:
+        """Curvature in 1/mm, (m,) -> (m,), positive to the left; its inverse is the local radius.
+
+        Of a free curve it is as smooth as the noise allows, and no less certain than it looks only
+        where the band is narrow beside the radius.
+        """
+        _, first, second = curve_derivatives(self.curve, np.atleast_1d(np.asarray(u, float)), 2)
+        cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+        bends = cross / np.maximum(np.linalg.norm(first, axis=1) ** 3, 1e-300)
+        return np.asarray(bends[0] if np.ndim(u) == 0 else bends)
 
 
-def finished(fit: Fit, cells: ArcCells, shape: Shape | None, chain: Chain, far: int) -> FittedCurve:
-    """Put a fit and what was recognised in it into the value that is handed out."""
+def finished(
+    fit: Fit,
+    cells: ArcCells,
+    shape: Shape | None,
+    gap_ends_mm: FloatArray,
+    far: int,
+    *,
+    ambiguous: bool,
+) -> FittedCurve:
+    """Put a fit and what was recognised in it into the value that is handed out.
+
+    Parameters
+    ----------
+    gap_ends_mm
+        (k, 2, 2): the places between which nothing was measured.
+    far
+        How many points lay too far off to be in the cells.
+    """
     curve = nurbs_of(fit.control_mm, closed=fit.closed) if shape is None else shape.curve
     distances = fit.distances_mm if shape is None else shape.distances_mm
     scatters = fit.scatters_mm2 if shape is None else shape.scatters_mm2
-    seen = None if shape is None else shape.variance_mm2
-    variance = fit.noise.variance_mm2 if seen is None else seen
+    noise = fit.noise if shape is None or shape.noise is None else shape.noise
     held = cells.counts * (fit.weights > 0)
     square = float((held * (distances**2 + scatters)).sum())
     u = fit.t / fit.spans if shape is None else shape.u
     return FittedCurve(
         curve=curve,
         kind="free" if shape is None else shape.kind,
-        sigma_mm=float(np.sqrt(variance)),
+        sigma_mm=float(np.sqrt(noise.variance_mm2)),
         edf=fit.edf if shape is None else float(shape.freedom),
-        inflation=fit.noise.inflation,
+        inflation=noise.inflation,
         residual_rms_mm=float(np.sqrt(square / max(held.sum(), 1.0))),
         residual_max_mm=_farthest(curve, u[held > 0], cells.extremes_mm[held > 0]),
         points_used=round(float(held.sum())),
         outliers=far + round(float((cells.counts * (fit.weights <= 0)).sum())),
         deviations_mm=deviations_along(fit) if shape is None else shape.deviations_mm,
-        gaps=_gaps(curve, chain),
+        gaps=_gaps(curve, gap_ends_mm),
         creases=() if shape is None else shape.creases,
-        ambiguous=chain.ambiguous,
+        ambiguous=ambiguous,
         cells=cells,
         u=u,
     )
@@ -127,15 +166,13 @@ def _farthest(curve: Curve, u: FloatArray, extremes: FloatArray) -> float:
     return float(np.abs(across / lengths[:, None]).max())
 
 
-def _gaps(curve: Curve, chain: Chain) -> tuple[tuple[float, float], ...]:
-    """The stretches between the nodes on either side of each gap, in u."""
-    if not chain.gaps:
+def _gaps(curve: Curve, ends_mm: FloatArray) -> tuple[tuple[float, float], ...]:
+    """The stretches between the two ends of each gap, in u."""
+    if not len(ends_mm):
         return ()
     grid = np.linspace(*curve.domain, 2049)
     places = curve(grid)
-    nodes = chain.nodes_mm
-    ends = [(nodes[gap], nodes[(gap + 1) % len(nodes)]) for gap in chain.gaps]
-    return tuple((_nearest(grid, places, a), _nearest(grid, places, b)) for a, b in ends)
+    return tuple((_nearest(grid, places, a), _nearest(grid, places, b)) for a, b in ends_mm)
 
 
 def _nearest(grid: FloatArray, places: FloatArray, node: FloatArray) -> float:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from reconstruction.arrays import FloatArray, IntArray
+from reconstruction.arrays import BoolArray, FloatArray, IntArray
 
 Graph = list[set[int]]  # neighbours of each slab
 
@@ -38,9 +38,9 @@ class Runs:
     flaws: int = 0  # spurs, holes and junctions on the way
 
 
-def link(places: FloatArray, reach: FloatArray) -> Runs:
-    """Find the runs among places (m, 2), of which each sees as far as its reach (m,)."""
-    slab_of_place, pairs, levels = _flood(*neighbours_of(places, reach))
+def link(places: FloatArray, starts: IntArray, neighbours: IntArray) -> Runs:
+    """Find the runs among places (m, 2) of which the neighbours are known."""
+    slab_of_place, pairs, levels = _flood(starts, neighbours)
     graph: Graph = [set() for _ in levels]
     for one, other in pairs.tolist():
         graph[one].add(other)
@@ -59,19 +59,43 @@ def link(places: FloatArray, reach: FloatArray) -> Runs:
     return Runs(run_of_slab[slab], slot_of_slab[slab], lengths, tuple(closed), flaws)
 
 
-def neighbours_of(places: FloatArray, reach: FloatArray) -> tuple[IntArray, IntArray]:
-    """Neighbours of place i: ``neighbours[starts[i]:starts[i + 1]]``; both must see each other."""
+def neighbours_of(
+    places: FloatArray, reach: FloatArray, frames: FloatArray | None = None
+) -> tuple[IntArray, IntArray]:
+    """Neighbours of place i: ``neighbours[starts[i]:starts[i + 1]]``; both must see each other.
+
+    Places (m, 2) see as far as their reach (m,). Frames (m, 3) hold a direction, and how many times
+    as far a place sees along it.
+    """
     low = places.min(axis=0)
     sides = places.max(axis=0) - low
     # The usual reach, not the widest: a wide one looks through more buckets.
+    if frames is None:
+        frames = np.tile([1.0, 0.0, 1.0], (len(places), 1))
     edge = max(float(np.median(reach)), float(sides.max()) / 1000, 1e-300)
     shape = np.floor(sides / edge).astype(np.int64) + 1
-    return _neighbours(places, reach, low, edge, int(shape[0]), int(shape[1]))
+    return _neighbours(places, reach, frames, low, edge, int(shape[0]), int(shape[1]))
+
+
+def apart(
+    starts: IntArray, neighbours: IntArray, kind: BoolArray | IntArray
+) -> tuple[IntArray, IntArray]:
+    """Neighbours of the same kind only."""
+    own = np.repeat(np.arange(len(kind)), np.diff(starts))
+    kept = kind[neighbours] == kind[own]
+    held = np.bincount(own[kept], minlength=len(kind))
+    return np.concatenate([[0], held.cumsum()]), neighbours[kept]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _neighbours(
-    places: FloatArray, reach: FloatArray, low: FloatArray, edge: float, nx: int, ny: int
+    places: FloatArray,
+    reach: FloatArray,
+    frames: FloatArray,
+    low: FloatArray,
+    edge: float,
+    nx: int,
+    ny: int,
 ) -> tuple[IntArray, IntArray]:
     count = len(places)
     first = np.full(nx * ny, -1, np.int64)
@@ -88,14 +112,20 @@ def _neighbours(
     held = 0
     for n in range(count):
         x, y, far = places[n, 0], places[n, 1], reach[n]
-        wide = int(far / edge) + 1
+        c, s, a = frames[n, 0], frames[n, 1], frames[n, 2]
+        wide = int(far * a / edge) + 1
         for i in range(max(columns[n] - wide, 0), min(columns[n] + wide, nx - 1) + 1):
             for j in range(max(rows[n] - wide, 0), min(rows[n] + wide, ny - 1) + 1):
                 other = first[i * ny + j]
                 while other >= 0:
                     dx, dy = places[other, 0] - x, places[other, 1] - y
-                    near = min(far, reach[other])
-                    if other != n and dx * dx + dy * dy <= near * near:
+                    u, v = (c * dx + s * dy) / a, c * dy - s * dx
+                    seen = u * u + v * v <= far * far
+                    if seen:
+                        oc, os, oa = frames[other, 0], frames[other, 1], frames[other, 2]
+                        u, v = (oc * dx + os * dy) / oa, oc * dy - os * dx
+                        seen = u * u + v * v <= reach[other] * reach[other]
+                    if seen and other != n:
                         if held == len(found):
                             found = np.concatenate((found, np.empty_like(found)))
                         found[held] = other

@@ -16,14 +16,16 @@ from scipy.spatial import cKDTree
 from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.errors import TooFewPoints
 from reconstruction.fitting.cells import Heaps, Int32Array, heap_up
-from reconstruction.thickness import estimate_thickness
+from reconstruction.fitting.frames import frames
 
 _SINGLY = 3000  # points up to which each is a place of its own
 _SAMPLE = 5000  # points that tell the middle and the thickness of a band
-_PROBED = 512  # points that tell it well enough for the width of a cell
-_NARROW = 2.5  # cells to a thickness
-_MOST_PLACES = 5000
+_PROBES = 128  # of them, at which the thickness is looked for ...
+_PROBED = np.array([8, 12, 18, 27, 40, 60, 90, 128])  # ... among so many neighbours
+_NARROW = 1.6  # cells to a thickness
+_MOST_PLACES = 10_000
 _LEAST_PLACES = 4
+_KNOWN = 27  # neighbours of each place, itself included, that are known
 _NEIGHBOUR = 4  # the neighbour whose distance is the spacing
 _AROUND = 24  # places that share their spacing; the more even cells need fewer
 _AROUND_CELLS = 6
@@ -40,6 +42,7 @@ class Places:
     unit_mm: float
     at: FloatArray  # (m, 2), in units from the origin
     counts: IntArray  # (m,), points each stands for
+    neighbours: IntArray  # (m, k), the nearest, each place the first of its own
     spacing: FloatArray  # (m,), to the fourth neighbour, evened out
     thickness: float  # of the band, roughly; 0 where nothing had to be known of it
     sample: FloatArray  # (k, 2), points themselves
@@ -80,27 +83,37 @@ def _singly(points: FloatArray, low: FloatArray, size: float) -> Places:
         (points - low) / size, axis=0, return_inverse=True, return_counts=True
     )
     each = np.arange(len(at))  # a point that was measured twice says nothing twice
-    spacing = _spacing(at, _AROUND)
-    return Places(low, size, at, counts, spacing, 0.0, at, each, place_of_point.ravel(), None)
+    nearest, spacing = _nearest(at, _AROUND)
+    return Places(
+        low, size, at, counts, nearest, spacing, 0.0, at, each, place_of_point.ravel(), None
+    )
 
 
 def _in_cells(points: FloatArray) -> Places:
     rng = np.random.default_rng(0)
     chosen = points[np.unique(rng.integers(0, len(points), _SAMPLE))]
-    few = chosen[:: max(len(chosen) // _PROBED, 1)]
-    width = math.sqrt(12.0) * estimate_thickness(few).sigma_mm
+    width = _thickness(chosen)
     low, high = _box_of(chosen)
     heaps = heap_up(points, low, high, max(width / _NARROW, float((high - low).max()) / _FINEST))
     if len(heaps.counts) > _MOST_PLACES:
         heaps = heaps.coarsened(-(-len(heaps.counts) // _MOST_PLACES))
     unit = max(float(np.ptp(heaps.places_mm, axis=0).max()), 1e-300)
     at = (heaps.places_mm - low) / unit
+    nearest, spacing = _nearest(at, _AROUND_CELLS)
     place_of_sample = heaps.of_points(chosen, np.arange(len(at))).astype(np.int64)
     inside = place_of_sample >= 0
     return Places(
-        low, unit, at, heaps.counts, _spacing(at, _AROUND_CELLS), width / unit,
+        low, unit, at, heaps.counts, nearest, spacing, width / unit,
         (chosen[inside] - low) / unit, place_of_sample[inside], np.empty(0, np.int64), heaps,
     )  # fmt: skip
+
+
+def _thickness(chosen: FloatArray) -> float:
+    """Full width of the band, the median over some of the points (k, 2)."""
+    probes = chosen[:: max(len(chosen) // _PROBES, 1)]
+    neighbours = cKDTree(chosen).query(probes, k=min(int(_PROBED[-1]), len(chosen)))[1]
+    found = frames(chosen, np.asarray(neighbours), _PROBED)
+    return math.sqrt(12.0) * float(np.median(found[:, 2]))
 
 
 def _box_of(chosen: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -113,12 +126,23 @@ def _box_of(chosen: FloatArray) -> tuple[FloatArray, FloatArray]:
     return low, np.minimum(ordered[-1] + 0.05 * margin, core_high + margin)
 
 
-def _spacing(at: FloatArray, most: int) -> FloatArray:
-    """Distance to the fourth neighbour: the median over the places around, (m, 2) -> (m,)."""
-    if len(at) < 2:
-        return np.zeros(len(at))
-    around = min(max(_NEIGHBOUR, len(at) // 12), most, len(at) - 1)
-    found = cKDTree(at).query(at, k=around + 1)
-    distances, neighbours = np.asarray(found[0]), np.asarray(found[1])
+def _nearest(at: FloatArray, most: int) -> tuple[IntArray, FloatArray]:
+    """Neighbours of each place, and the distance to the fourth: the median over the places around.
+
+    (m, 2) -> (m, k), (m,)
+    """
+    count = len(at)
+    if count < 2:
+        return np.zeros((count, 1), np.int64), np.zeros(count)
+    distances, neighbours = (np.asarray(v) for v in cKDTree(at).query(at, k=min(_KNOWN, count)))
+    around = min(max(_NEIGHBOUR, count // 12), most, count - 1)
     k = min(_NEIGHBOUR, around)
-    return np.asarray(np.median(distances[:, k][neighbours], axis=1) * (_NEIGHBOUR / k))
+    spacing = np.median(distances[:, k][neighbours[:, : around + 1]], axis=1) * (_NEIGHBOUR / k)
+    return neighbours, np.asarray(spacing)
+
+
+def middling(values: FloatArray | IntArray, weights: FloatArray | IntArray) -> float:
+    """Weighted median."""
+    order = np.argsort(values)
+    heights = weights[order].cumsum()
+    return float(values[order][np.searchsorted(heights, heights[-1] / 2)])

@@ -18,6 +18,8 @@ from reconstruction.fitting.spline import evaluate, spans_of
 
 _ROUNDS = 12
 _MOST_SPANS = 160
+_SPIKE = 1.5  # times the way past a node: so far no node stands out ...
+_HOP = 2.0  # ... if that is this many times the usual way, too
 
 
 def preliminary(chain: Chain) -> tuple[FloatArray, float]:
@@ -25,7 +27,7 @@ def preliminary(chain: Chain) -> tuple[FloatArray, float]:
 
     At open ends it is a step longer, so that no point lies beyond it.
     """
-    nodes = chain.nodes_mm
+    nodes = _without_spikes(chain.nodes_mm, closed=chain.closed)
     ends = np.vstack([nodes, nodes[:1]]) if chain.closed else nodes
     along = np.concatenate([[0.0], np.linalg.norm(np.diff(ends, axis=0), axis=1).cumsum()])
     spans = min(max(len(nodes), LEAST), _MOST_SPANS)
@@ -34,6 +36,20 @@ def preliminary(chain: Chain) -> tuple[FloatArray, float]:
     beyond = along[-1] / (len(nodes) - 1)
     t = (along + beyond) / (along[-1] + 2 * beyond) * spans
     return smoothed(nodes, t, spans, closed=False)
+
+
+def _without_spikes(nodes: FloatArray, *, closed: bool) -> FloatArray:
+    """Without nodes that stand far out between two neighbours close together: no run does that."""
+    if len(nodes) < LEAST:
+        return nodes
+    arms = np.linalg.norm(np.diff(nodes, axis=0, append=nodes[:1]), axis=1)
+    before = np.roll(arms, 1)
+    across = np.linalg.norm(np.roll(nodes, -1, axis=0) - np.roll(nodes, 1, axis=0), axis=1)
+    far = np.maximum(_SPIKE * across, _HOP * np.median(arms))
+    inner = np.full(len(nodes), fill_value=True)
+    inner[[0, -1]] = closed
+    spikes = inner & (np.minimum(before, arms) > far)
+    return np.asarray(nodes[~spikes])
 
 
 def smoothed(

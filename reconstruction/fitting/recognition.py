@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -18,14 +18,17 @@ from scipy.spatial import cKDTree
 
 from reconstruction.arrays import FloatArray
 from reconstruction.fitting.moments import ArcCells
-from reconstruction.fitting.smoothing import Fit
+from reconstruction.fitting.smoothing import Fit, Noise
 from reconstruction.fitting.spline import evaluate
 from reconstruction.fitting.uncertainty import variances_at
 from reconstruction.nurbs import Curve, circle
 
 _STEPS = 10
 _SKETCHED = 128  # places on the free curve
-_SUSPECT = 3.0  # posterior standard deviations, rms: a sketch farther off needs no second look
+_SUSPECT = 3.0  # posterior standard deviations, rms: a sketch farther off needs no second look ...
+_SKETCHY = 0.5  # ... of which none is less than this share of the noise: exact data have hardly any
+_NEAR = _SUSPECT**2 * _SKETCHED
+_HOPELESS = 100.0  # times that
 _CHANCE = 4.0  # standard deviations of excess misfit
 _LEAST_RATIO = 0.05  # of an ellipse's axes
 _FLATTEST = 1e4  # radius of an arc over its length
@@ -76,14 +79,14 @@ class Shape:
     scatters_mm2: FloatArray  # (m,)
     freedom: float
     creases: tuple[float, ...] = ()  # in u
-    variance_mm2: float | None = None  # of a point, where it is another than the free curve's
+    noise: Noise | None = None  # where it is another than the free curve's
 
 
 def recognised(fit: Fit, cells: ArcCells) -> Shape | None:
     """Return the shape the points prefer to the free curve, if there is one."""
     held = cells.counts * fit.weights
     own = fit.noise.variance_mm2 * fit.noise.relative
-    data = _Data(cells.means_mm, held / (own * fit.noise.inflation), own, cells.covariances_mm2)
+    data = _Data(cells.means_mm, held / (own * fit.noise.kinship), own, cells.covariances_mm2)
     price = math.log(max(float(held.sum()) / fit.noise.inflation, 2.0))  # of a degree of freedom
     free = _misfit(data, fit.distances_mm, fit.scatters_mm2)
     best, least = None, math.inf
@@ -108,10 +111,13 @@ def _misfit(data: _Data, distances: FloatArray, scatters: FloatArray) -> float:
 
 
 def _trials(fit: Fit) -> list[_Fitted]:
-    """Shapes that lie within the free curve's own uncertainty: few curves come so far."""
+    """Shapes that lie about within the free curve's own uncertainty: few curves come so far."""
     t = np.linspace(0.0, fit.spans, _SKETCHED, endpoint=not fit.closed)
     places, tangents, _ = evaluate(fit.control_mm, t)
-    variances = variances_at(fit.control_mm, fit.inverse, t, closed=fit.closed)
+    variances = np.maximum(
+        variances_at(fit.control_mm, fit.inverse, t, closed=fit.closed),
+        _SKETCHY**2 * fit.noise.variance_mm2,
+    )
     # Even arc length would weigh alike; the parametrisation may run unevenly.
     shares = np.linalg.norm(tangents, axis=1)
     weights = shares / shares.mean() / np.maximum(variances, 1e-12 * float(np.ptp(places)) ** 2)
@@ -119,12 +125,12 @@ def _trials(fit: Fit) -> list[_Fitted]:
     data = _Data(places, weights, nothing, np.zeros((len(t), 3)))
     trials = _closed_trials(data) if fit.closed else _open_trials(data)
     return [trial for trial in trials
-            if _misfit(data, trial.distances_mm, nothing) < _SUSPECT**2 * _SKETCHED]  # fmt: skip
+            if _misfit(data, trial.distances_mm, nothing) < _NEAR]  # fmt: skip
 
 
 def _closed_trials(data: _Data) -> list[_Fitted]:
-    ring = _fitted("circle", _measure_circle, _algebraic_circle(data), data)
-    oval = _fitted("ellipse", _measure_ellipse, _principal_ellipse(data), data)
+    ring = _fitted("circle", _measure_circle, _algebraic_circle(data), data, most=_NEAR)
+    oval = _fitted("ellipse", _measure_ellipse, _principal_ellipse(data), data, most=_NEAR)
     found = [] if ring is None else [ring]
     if (
         oval is not None
@@ -145,18 +151,23 @@ def _open_trials(data: _Data) -> list[_Fitted]:
     def measure_line(parameters: FloatArray, places: FloatArray) -> _Reading:
         return _measure_line(parameters, places, middle, along)
 
-    straight = _fitted("line", measure_line, np.zeros(2), data)
-    bent = _fitted("arc", _measure_circle, _algebraic_circle(data), data)
+    straight = _fitted("line", measure_line, np.zeros(2), data, most=_NEAR)
+    bent = _fitted("arc", _measure_circle, _algebraic_circle(data), data, most=_NEAR)
     found = [] if straight is None else [straight]
     if bent is not None and bent.parameters[2] < _FLATTEST * length:
         found.append(bent)
     return found
 
 
-def _fitted(kind: str, measure: Measure, start: FloatArray, data: _Data) -> _Fitted | None:
-    """Gauss-Newton on normal distances; None where it does not settle on a shape."""
+def _fitted(
+    kind: str, measure: Measure, start: FloatArray, data: _Data, *, most: float = math.inf
+) -> _Fitted | None:
+    """Gauss-Newton on normal distances; None where it does not settle on a shape.
+
+    Or where its first two steps leave a misfit far beyond `most`.
+    """
     parameters = start
-    for _ in range(_STEPS):
+    for turn in range(_STEPS):
         with np.errstate(all="ignore"):  # what is not finite is refused below
             reading = measure(parameters, data.places_mm)
             along, scatters = _turned(data.covariances_mm2, reading.normals)
@@ -168,6 +179,8 @@ def _fitted(kind: str, measure: Measure, start: FloatArray, data: _Data) -> _Fit
         try:
             covariance = np.asarray(np.linalg.inv(normal_matrix), dtype=np.float64)
         except np.linalg.LinAlgError:
+            return None
+        if turn == 2 and _misfit(data, distances, scatters) > _HOPELESS * most:
             return None
         step = covariance @ (reading.slopes.T @ (data.weights * distances))
         if not (np.isfinite(step).all() and (covariance.diagonal() > 0).all()):
@@ -255,12 +268,24 @@ def _shape(fit: Fit, cells: ArcCells, found: _Fitted) -> Shape:
     grid = np.linspace(*curve.domain, 2049)
     places = curve(grid)
     slopes = found.measure(found.parameters, places[::8]).slopes
-    deviations = np.sqrt(np.einsum("ij,jk,ik->i", slopes, found.covariance, slopes))
     u = grid[cKDTree(places).query(cells.means_mm)[1]]
+    noise = _noise(fit, cells, found)
+    # The parameters were found at the free curve's noise.
+    covariance = found.covariance * (noise.variance_mm2 / fit.noise.variance_mm2)
+    deviations = np.sqrt(np.einsum("ij,jk,ik->i", slopes, covariance, slopes))
     return Shape(
         found.kind, curve, deviations, u, found.distances_mm, found.scatters_mm2,
-        len(found.parameters),
+        len(found.parameters), noise=noise,
     )  # fmt: skip
+
+
+def _noise(fit: Fit, cells: ArcCells, found: _Fitted) -> Noise:
+    """What scatters about the shape; exact data may have more about the free curve."""
+    held = cells.counts * fit.weights
+    squares = (found.distances_mm**2 + found.scatters_mm2) / fit.noise.relative
+    freedom = max(float(held.sum()) - len(found.parameters), 1.0)
+    least = (1e-7 * float(np.ptp(cells.means_mm, axis=0).max())) ** 2
+    return replace(fit.noise, variance_mm2=max(float(held @ squares) / freedom, least))
 
 
 def _curve(fit: Fit, found: _Fitted) -> Curve:

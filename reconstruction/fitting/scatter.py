@@ -26,6 +26,7 @@ _BLOCKS_A_FREEDOM = 3.0
 _LEAST_BLOCKS = 64
 _SIGNIFICANT = 2.5  # standard errors, for noise that varies ...
 _BEYOND_DOUBT = 4.0  # ... and for kinship, whose estimate is drawn out to long blocks
+_MEDIANS = 5.5  # times 1 / n: variance of the log of a median of n squares; of their mean, 2
 _UNEVEN = 0.6  # standard deviation of the log spacing; points at random have 0.4
 _CAUTION = 10.0  # blocks
 _WINDOW = 3.0  # points to either side that tell the local spacing
@@ -38,7 +39,7 @@ def looked_at_again(fit: Fit, cells: ArcCells) -> Noise:
     relative[order] = _relative(fit, cells, order)
     relative /= np.average(relative, weights=cells.counts)
     inflation = _inflation(fit, cells, order)
-    return Noise(fit.noise.variance_mm2, relative, inflation)
+    return Noise(fit.noise.variance_mm2, relative, inflation, fit.noise.doubt)
 
 
 def _relative(fit: Fit, cells: ArcCells, order: IntArray) -> FloatArray:
@@ -53,16 +54,20 @@ def _relative(fit: Fit, cells: ArcCells, order: IntArray) -> FloatArray:
     return relative * _drift(squares / relative, held, share, closed=fit.closed)
 
 
-def by_spacing(
-    control_mm: FloatArray, cells: ArcCells, t: FloatArray, *, closed: bool
+def seen_first(
+    control_mm: FloatArray, cells: ArcCells, t: FloatArray, squares: FloatArray, *, closed: bool
 ) -> FloatArray:
-    """Relative variances to begin with: where points are far sparser they are trusted less."""
+    """Relative variances to begin with, about a curve that need only run within the band.
+
+    Where points are far sparser they are trusted less, and where they scatter farther: `squares`
+    (m,) are the cells' mean squares across it.
+    """
     order = np.argsort(t, kind="stable")
     relative = np.empty(len(cells))
-    _, spread = _log_spacing(control_mm, cells, t, order, closed=closed)
-    if spread.std() < _UNEVEN:
-        return np.ones(len(cells))
-    relative[order] = np.exp(spread - spread.max())
+    share, spread = _log_spacing(control_mm, cells, t, order, closed=closed)
+    spread = spread - spread.max() if spread.std() >= _UNEVEN else np.zeros(len(cells))
+    found = _drift(squares[order] / np.exp(spread), cells.counts[order], share, closed=closed)
+    relative[order] = np.exp(spread) * found
     return np.asarray(relative / np.average(relative, weights=cells.counts))
 
 
@@ -80,7 +85,7 @@ def _log_spacing(
 def _leverages(fit: Fit, cells: ArcCells) -> FloatArray:
     """Share of each cell's own distance in the curve beside it, (m,)."""
     variances = variances_at(fit.control_mm, fit.inverse, fit.t, closed=fit.closed)
-    own = fit.noise.variance_mm2 * fit.noise.relative * fit.noise.inflation
+    own = fit.noise.variance_mm2 * fit.noise.relative * fit.noise.kinship
     return np.asarray(variances * cells.counts * fit.weights / own)
 
 
@@ -112,21 +117,39 @@ def _likeliest_growth(squares: FloatArray, held: FloatArray, x: FloatArray) -> t
 
 
 def _drift(squares: FloatArray, held: FloatArray, share: FloatArray, *, closed: bool) -> FloatArray:
-    """Variance by stretches of the curve over its mean, drawn to the mean as far as chance goes."""
+    """Variance by stretches of the curve over its mean, drawn to the mean as far as chance goes.
+
+    By medians: a corner that the curve rounds would make its stretch look noisy, and be rounded
+    the more for it.
+    """
     stretches = int(min(held.sum() / 60, 24))
     if stretches < 3:
         return np.ones(len(squares))
     at = np.minimum((share * stretches).astype(np.int64), stretches - 1)
     counts = np.bincount(at, held, stretches) + 1e-9
-    mean = np.average(squares, weights=held)
-    logs = np.log((np.bincount(at, held * squares, stretches) + mean) / (counts + 1.0) / mean)
-    chance = 2.0 / (counts + 1.0)
+    usual = float(_medians(squares, held, np.zeros(len(at), np.int64), 1)[0])
+    if not usual > 0.0:  # exact data
+        return np.ones(len(squares))
+    logs = np.log((counts * _medians(squares, held, at, stretches) / usual + 1.0) / (counts + 1.0))
+    chance = _MEDIANS / (counts + 1.0)
     excess = float(np.average(logs**2 - chance, weights=counts))
     if excess < _SIGNIFICANT * float(np.average(chance, weights=counts)) * np.sqrt(2 / stretches):
         return np.ones(len(squares))
     logs *= excess / (excess + chance)
     middles = (np.arange(stretches) + 0.5) / stretches
     return np.asarray(np.exp(np.interp(share, middles, logs, period=1.0 if closed else None)))
+
+
+def _medians(values: FloatArray, weights: FloatArray, at: IntArray, groups: int) -> FloatArray:
+    """Weighted median of the values of each group, (groups,); 0 of none."""
+    order = np.lexsort((values, at))
+    heights, group = weights[order].cumsum(), at[order]
+    ends = np.searchsorted(group, np.arange(groups), side="right")
+    below = np.concatenate([[0.0], heights])[np.concatenate([[0], ends[:-1]])]
+    totals = np.concatenate([[0.0], heights])[ends] - below
+    middles = np.searchsorted(heights, below + totals / 2)
+    found = values[order][np.minimum(middles, len(order) - 1)]
+    return np.where(totals > 0, found, 0.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -166,7 +189,7 @@ def _inflation(fit: Fit, cells: ArcCells, order: IntArray) -> float:
     size = min(total / max(_BLOCKS_A_FREEDOM * fit.edf, 1.0), total / _LEAST_BLOCKS)
     if size < 2.0:
         return 1.0
-    scale = np.sqrt(fit.noise.variance_mm2 * fit.noise.relative)
+    scale = np.sqrt(fit.noise.variance_mm2 * fit.noise.relative * fit.noise.doubt)
     sums, counts = (held * fit.distances_mm / scale)[order], held[order]
     ratio, blocks = _block_ratio(sums, counts, size, fit.edf / total)
     if ratio < 1.0 + _BEYOND_DOUBT * np.sqrt(2.0 / blocks):

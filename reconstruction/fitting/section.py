@@ -9,7 +9,8 @@ have half a million.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import math
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -26,7 +27,8 @@ from reconstruction.fitting.section_fit import fit_chain
 from reconstruction.fitting.topology import UNORDERED, Topology, find_chains
 
 _LEAST = 4  # points
-_LARGEST_MM = 1e100  # the squares of lengths must stay finite
+_LARGEST_MM = 1e30  # the powers of lengths must stay finite ...
+_SMALLEST_MM = 1e-30  # ... and above nothing
 _FAR = 1e5  # times the size of a slice
 
 
@@ -40,7 +42,7 @@ class SectionFit:
     strays: IntArray  # indices of points that were set aside
     unordered: IntArray  # indices of points that hang together without a curve
     failures: tuple[str, ...]  # why chains gave no curve; their points are among the unordered
-    sigma_mm: float  # median standard deviation across the chains; 0 without any
+    sigma_mm: float  # standard deviation of the points across their curves; 0 without any
     spacing_mm: float  # length of the chains over their number of points; inf without any
 
     def __post_init__(self) -> None:
@@ -49,8 +51,13 @@ class SectionFit:
 
     @property
     def width_mm(self) -> float:
-        """Thickness of the cloud, 4 sigma."""
+        """Thickness of the cloud, 4 sigma: 95 % of a Gaussian band."""
         return 4.0 * self.sigma_mm
+
+    @property
+    def band_mm(self) -> float:
+        """Thickness of the cloud as the full width of a uniform band of the same variance."""
+        return math.sqrt(12.0) * self.sigma_mm
 
 
 def fit_section(points_mm: ArrayLike, *, exact: Exact = Exact.AUTO) -> list[FittedCurve]:
@@ -84,21 +91,30 @@ def require_curves(found: SectionFit, count: int) -> None:
         )
 
 
-def resolve_section(points_mm: ArrayLike, *, exact: Exact = Exact.AUTO) -> SectionFit:
-    """Do what `fit_section` does, and say what became of every point; no curve is no error."""
+def resolve_section(
+    points_mm: ArrayLike, *, exact: Exact = Exact.AUTO, heights_mm: ArrayLike | None = None
+) -> SectionFit:
+    """Do what `fit_section` does, and say what became of every point; no curve is no error.
+
+    Parameters
+    ----------
+    heights_mm
+        (n,), true heights of the points above the cutting plane; kept as moments of the cells.
+    """
     points, away_mm = _checked(points_mm)
+    heights = None if heights_mm is None else _checked_heights(heights_mm, len(points))
     if away_mm is None:
-        return _resolved(points, exact)
-    return _moved(_resolved(points - away_mm, exact), away_mm)
+        return _resolved(points, exact, heights)
+    return _moved(_resolved(points - away_mm, exact, heights), away_mm)
 
 
-def _resolved(points: FloatArray, exact: Exact) -> SectionFit:
+def _resolved(points: FloatArray, exact: Exact, heights: FloatArray | None) -> SectionFit:
     topology = find_chains(points)
-    groups = _grouped(points, topology)
+    groups = _grouped(points, topology, heights)
     failures: list[str] = []
     fitted: dict[int, FittedCurve] = {}
     for number in _by_size(topology.chains):
-        curve = _fitted(groups[number], topology.chains[number], exact, failures)
+        curve = _fitted(*groups[number], topology.chains[number], exact, failures)
         if curve is not None:
             fitted[number] = curve
     return SectionFit(
@@ -108,9 +124,16 @@ def _resolved(points: FloatArray, exact: Exact) -> SectionFit:
         strays=topology.strays,
         unordered=_without_curve(topology, fitted),
         failures=tuple(failures),
-        sigma_mm=topology.sigma_mm,
+        sigma_mm=_sigma_mm(fitted.values(), otherwise=topology.sigma_mm),
         spacing_mm=topology.spacing_mm,
     )
+
+
+def _sigma_mm(curves: Iterable[FittedCurve], *, otherwise: float) -> float:
+    """Pooled standard deviation across the curves, by their points."""
+    pairs = [(curve.points_used, curve.sigma_mm**2) for curve in curves]
+    held = sum(points for points, _ in pairs)
+    return math.sqrt(sum(n * square for n, square in pairs) / held) if held else otherwise
 
 
 def _without_curve(topology: Topology, fitted: Collection[int]) -> IntArray:
@@ -138,6 +161,8 @@ def _checked(points_mm: ArrayLike) -> tuple[FloatArray, FloatArray | None]:
 
     So far from the origin that the squares of coordinates would not know the slice any more.
     """
+    if np.ma.is_masked(points_mm):
+        raise ValueError("points_mm: some are masked; pass only the rows that are not")
     given = np.asarray(points_mm)
     if given.ndim != 2 or given.shape[1] != 2:
         raise ValueError(f"points_mm: shape (n, 2) expected, got {given.shape}")
@@ -153,19 +178,37 @@ def _checked(points_mm: ArrayLike) -> tuple[FloatArray, FloatArray | None]:
         raise Unfittable(
             f"{lost} of {len(points)} points are no finite lengths in mm: set them aside first"
         )
-    far = max(-float(low.min()), float(high.max())) > _FAR * float((high - low).max())
+    size = float((high - low).max())
+    if not size > _SMALLEST_MM:
+        raise TooFewPoints(f"all {len(points)} points lie in one place; a curve needs {_LEAST}")
+    far = max(-float(low.min()), float(high.max())) > _FAR * size
     return points, low if far else None
 
 
-def _grouped(points: FloatArray, topology: Topology) -> list[FloatArray]:
-    """The points of each chain."""
+def _checked_heights(heights_mm: ArrayLike, count: int) -> FloatArray:
+    """Heights as (n,) finite floats."""
+    heights = np.ascontiguousarray(heights_mm, dtype=np.float64)
+    if heights.shape != (count,):
+        raise ValueError(f"heights_mm: shape ({count},) expected, got {heights.shape}")
+    if not np.isfinite(heights).all():
+        raise Unfittable(f"a height of {count} points is not finite: set its point aside first")
+    return heights
+
+
+def _grouped(
+    points: FloatArray, topology: Topology, heights: FloatArray | None
+) -> list[tuple[FloatArray, FloatArray | None]]:
+    """The points of each chain, and their heights."""
     of, chains = topology.chain_of_point, len(topology.chains)
     counts = _count(of, chains)
     if chains == 1 and counts[0] == len(points):
-        return [points]
+        return [(points, heights)]
     borders = np.concatenate([[0], counts.cumsum()])
     grouped = _group(points, of, borders[:-1].copy(), int(borders[-1]))
-    return [grouped[a:b] for a, b in pairwise(borders)]
+    if heights is None:
+        return [(grouped[a:b], None) for a, b in pairwise(borders)]
+    raised = _group(heights[:, None], of, borders[:-1].copy(), int(borders[-1])).ravel()
+    return [(grouped[a:b], raised[a:b]) for a, b in pairwise(borders)]
 
 
 def _by_size(chains: tuple[Chain, ...]) -> list[int]:
@@ -184,12 +227,16 @@ def _area_mm2(chain: Chain) -> float:
 
 
 def _fitted(
-    points: FloatArray, chain: Chain, exact: Exact, failures: list[str]
+    points: FloatArray,
+    heights: FloatArray | None,
+    chain: Chain,
+    exact: Exact,
+    failures: list[str],
 ) -> FittedCurve | None:
     """The curve of a chain; where it has none, why goes to `failures`: the others are kept."""
     try:
         with np.errstate(all="ignore"):  # what is not finite is refused below
-            curve = fit_chain(points, chain, exact=exact)
+            curve = fit_chain(points, chain, exact=exact, heights_mm=heights)
     except (ReconstructionError, ValueError, ArithmeticError) as why:
         failures.append(str(why))
         return None
@@ -210,13 +257,15 @@ def _count(chain_of_point: Int32Array, chains: int) -> IntArray:
 
 @njit(cache=True, nogil=True)
 def _group(
-    points: FloatArray, chain_of_point: Int32Array, places: IntArray, count: int
+    rows: FloatArray, chain_of_point: Int32Array, places: IntArray, count: int
 ) -> FloatArray:
-    """Points by chain, in their order; `places` are where each chain begins, and are used up."""
-    grouped = np.empty((count, 2))
-    for n in range(len(points)):
+    """Rows by chain, in their order; `places` are where each chain begins, and are used up."""
+    width = rows.shape[1]
+    grouped = np.empty((count, width))
+    for n in range(len(rows)):
         chain = chain_of_point[n]
         if chain >= 0:
-            grouped[places[chain]] = points[n]
+            for column in range(width):
+                grouped[places[chain], column] = rows[n, column]
             places[chain] += 1
     return grouped

@@ -7,6 +7,8 @@ chain -> preliminary curve -> one pass over the points: arc cells
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from reconstruction.arrays import FloatArray
@@ -17,11 +19,16 @@ from reconstruction.fitting.creases import creased
 from reconstruction.fitting.curve import Exact, FittedCurve, finished
 from reconstruction.fitting.ends import ends_of
 from reconstruction.fitting.moments import ArcCells, cells_of_points, gather, nearest_vertices
-from reconstruction.fitting.preliminary import normal_equations, preliminary, reknotted
+from reconstruction.fitting.preliminary import (
+    normal_equations,
+    preliminary,
+    reknotted,
+)
 from reconstruction.fitting.recognition import recognised
-from reconstruction.fitting.scatter import by_spacing, looked_at_again
-from reconstruction.fitting.smoothing import Fit, Noise, doubting, feet, smooth
+from reconstruction.fitting.scatter import looked_at_again, seen_first
+from reconstruction.fitting.smoothing import Fit, Noise, doubting, feet, smooth, stiff_start
 from reconstruction.fitting.spline import evaluate, spans_of
+from reconstruction.fitting.straying import WINDING, doubted, windings
 
 _REACH = 6.0  # standard deviations: farther across is not of this curve
 _SLACK = 0.25  # of the distance of nodes: a bend between them may be cut short by that
@@ -33,6 +40,9 @@ _NEARLY = 0.2  # standard deviations: still enough to look at noise and knots
 _FEW = 12  # points too few to tell one of them an outlier
 _EXACT = 1e-7  # of the length: scatter below it is none
 _PASSES = 6
+_RETRIES = 4  # of a fit that winds ...
+_LOSS = 0.02  # ... as long as they lose no more of the points ...
+_OFF = 2.5  # ... and these stay within so many of the chain's standard deviations
 
 
 def fit_chain(
@@ -62,7 +72,14 @@ def fit_chain(
     fit, cells, far = free_fit(points, chain, heights_mm)
     shape = recognised(fit, cells) if exact is Exact.AUTO else None
     shape = creased(fit, cells, points) if shape is None else shape
-    return finished(fit, cells, shape, chain, far)
+    return finished(fit, cells, shape, _gap_ends(chain), far, ambiguous=chain.ambiguous)
+
+
+def _gap_ends(chain: Chain) -> FloatArray:
+    """The nodes on either side of every gap, (k, 2, 2)."""
+    start = np.array(chain.gaps, dtype=np.int64)
+    after = (start + 1) % len(chain.nodes_mm)
+    return np.stack([chain.nodes_mm[start], chain.nodes_mm[after]], axis=1)
 
 
 def free_fit(
@@ -74,25 +91,69 @@ def free_fit(
     cells, t, far = _gathered(points, chain, control, heights_mm)
     if cells.total < 4:
         raise TooFewPoints(f"{cells.total} of {len(points)} points lie near their chain; 4 needed")
-    t, distances = feet(control, cells, t, closed=chain.closed)
-    relative = by_spacing(control, cells, t, closed=chain.closed)
-    sigma = max(_first_sigma(chain, cells, distances), _EXACT * chain.length_mm)
+    t, distances, scatters = feet(control, cells, t, closed=chain.closed)
+    squares = distances**2 + scatters
+    relative = seen_first(control, cells, t, squares, closed=chain.closed)
+    even = distances / np.sqrt(relative)
+    sigma = max(_first_sigma(chain, cells, even), _EXACT * chain.length_mm)
     noise = Noise(sigma**2, relative)
-    fit = smooth(cells, control, t, noise, closed=chain.closed, still=_NEARLY)
-    within = None if chain.closed else ends_of(fit, cells)
+    fit = _settled(cells, control, t, noise, closed=chain.closed)
+    fit = _unwound(fit, cells, control, t, noise, chain)
+    return doubting(fit, cells), cells, far
+
+
+def _unwound(
+    fit: Fit, cells: ArcCells, control: FloatArray, t: FloatArray, noise: Noise, chain: Chain
+) -> Fit:
+    """The fit, or one with doubt where it winds about its chain; see `straying`."""
+    wound = windings(fit, chain)
+    for _ in range(_RETRIES):
+        if not wound.max() > WINDING:
+            break
+        noise = replace(noise, doubt=noise.doubt * doubted(fit, wound))
+        stiff = stiff_start(cells, control, noise, closed=chain.closed)
+        again = _settled(cells, control, t, noise, closed=chain.closed, log_stiffness=stiff)
+        less = windings(again, chain)
+        # The chain itself may be wrong there: then more doubt would only lose its points.
+        if not less.max() < wound.max() or _loses(again, fit, cells, chain):
+            break
+        fit, wound = again, less
+    return fit
+
+
+def _loses(fit: Fit, before: Fit, cells: ArcCells, chain: Chain) -> bool:
+    """Whether a fit has let go of points, or lies farther off than the chain knows of."""
+    lost = float(cells.counts @ (before.weights - fit.weights))
+    usual = float(np.sqrt(np.mean(chain.sigma_mm**2)))
+    return lost > _LOSS * cells.total or fit.noise.variance_mm2 > (_OFF * usual) ** 2
+
+
+def _settled(
+    cells: ArcCells,
+    control: FloatArray,
+    t: FloatArray,
+    noise: Noise,
+    *,
+    closed: bool,
+    log_stiffness: FloatArray | None = None,
+) -> Fit:
+    """Fit until noise and knots are what the fit itself asks for."""
+    fit = smooth(
+        cells, control, t, noise, closed=closed, log_stiffness=log_stiffness, still=_NEARLY
+    )
+    within = None if closed else ends_of(fit, cells)
     for turn in range(_PASSES):
         wanted = _wanted_spans(fit.edf, len(cells))
         noise = looked_at_again(fit, cells)
         if turn > 1:  # more smoothing shows more noise, and less less: half-way does not swing
-            halfway = np.sqrt(noise.relative * fit.noise.relative)
-            noise = Noise(noise.variance_mm2, halfway, noise.inflation)
+            noise = replace(noise, relative=np.sqrt(noise.relative * fit.noise.relative))
         settled = abs(np.log(noise.inflation / fit.noise.inflation)) < 0.1
         settled &= float(np.abs(np.log(noise.relative / fit.noise.relative)).max()) < 0.2
         if settled and turn > 0 and 0.8 < wanted / fit.spans < 1.25:
             break
         fit = _resumed(fit, cells, noise, wanted, within)
         within = None
-    return doubting(fit, cells), cells, far
+    return fit
 
 
 def fit_ordered(
@@ -142,6 +203,8 @@ def _along(
     spans, count = spans_of(control, closed=closed), len(reach)
     t = np.arange(count) / count * spans if closed else np.linspace(0.0, spans, count)
     vertices, tangents, _ = evaluate(control, t)
+    step = float(np.linalg.norm(np.diff(vertices, axis=0), axis=1).max())
+    reach = np.maximum(reach, step)  # exact data, too, lie that far from the nearest vertex
     lengths = np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-300)
     normals = np.stack([-tangents[:, 1], tangents[:, 0]], axis=1) / lengths
     if singly:

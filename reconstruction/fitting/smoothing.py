@@ -18,7 +18,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import FloatArray, frozen
+from reconstruction.arrays import FloatArray, IntArray, frozen
 from reconstruction.errors import ReconstructionError
 from reconstruction.fitting.bands import factorise, inverse_band, solve
 from reconstruction.fitting.bending import (
@@ -41,6 +41,7 @@ _ROUNDS = 25
 _LEAST_POINTS = 3.0
 _MOST_DOUBT = 1.5  # variance of the log stiffness
 _LEASH = 3.0  # standard deviations that a control point may well go from its start, and a span
+_STIFFER = 6.0  # in log stiffness
 _RIDGE = 1e-13  # of the largest pivot: rounding must not make the system indefinite
 
 
@@ -50,7 +51,18 @@ class Noise:
 
     variance_mm2: float  # of one point across the curve
     relative: FloatArray  # (m,), each cell's share in it, about 1
-    inflation: float = 1.0  # how much less independent the points are than they look
+    inflation: float = 1.0  # how much less independent the points are than they look ...
+    doubt: FloatArray | float = 1.0  # ... and (m,) here and there besides: see `straying`
+
+    @property
+    def kinship(self) -> FloatArray:
+        """How many points are as good as one independent one, (m,)."""
+        return np.broadcast_to(self.inflation * np.asarray(self.doubt), self.relative.shape)
+
+    def only(self, rows: IntArray) -> Noise:
+        """Return that of these cells."""
+        doubt = self.doubt if isinstance(self.doubt, float) else self.doubt[rows]
+        return replace(self, relative=self.relative[rows], doubt=doubt)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,6 +96,7 @@ class _Leash:
 
     start_mm: FloatArray  # (n, 2)
     variance_mm2: float
+    least_mm2: float  # exact data have no scatter at all; so much they are said to have
 
 
 def smooth(
@@ -115,7 +128,7 @@ def smooth(
         log_stiffness = np.full(hats.shape[1], usual)
     else:
         log_stiffness = _stretched(log_stiffness, hats.shape[1], closed=closed)
-    leash = _Leash(control_mm, _LEASH**2 * noise.variance_mm2 + float(lengths.mean()) ** 2)
+    leash = _leash(control_mm, _LEASH**2 * noise.variance_mm2 + float(lengths.mean()) ** 2)
     before = np.zeros_like(log_stiffness)
     fit = None
     for turn in range(_ROUNDS):
@@ -140,18 +153,22 @@ def smooth(
     return fit
 
 
+def _leash(start_mm: FloatArray, variance_mm2: float) -> _Leash:
+    return _Leash(start_mm, variance_mm2, (1e-7 * float(np.ptp(start_mm, axis=0).max())) ** 2)
+
+
 def feet(
     control_mm: FloatArray, cells: ArcCells, t: FloatArray, *, closed: bool
-) -> tuple[FloatArray, FloatArray]:
-    """Foot points of the cells, from rough ones, and normal distances; (m,) -> (m,), (m,)."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Foot points of the cells, from rough ones, normal distances, scatters across; all (m,)."""
     found, size = t.copy(), len(control_mm)
     nothing = np.full(len(cells), (1e-7 * float(np.ptp(control_mm))) ** 2)
-    distances, _, _ = sweep(
+    distances, scatters, _ = sweep(
         control_mm, control_normals(control_mm, closed=closed), found, cells.counts,
-        cells.means_mm, cells.covariances_mm2, nothing, np.zeros((size, 4)),
+        cells.counts, cells.means_mm, cells.covariances_mm2, nothing, np.zeros((size, 4)),
         np.zeros((size, 1)), closed=closed, rounds=3,
     )  # fmt: skip
-    return found, distances
+    return found, distances, scatters
 
 
 def doubting(fit: Fit, cells: ArcCells) -> Fit:
@@ -170,7 +187,7 @@ def doubting(fit: Fit, cells: ArcCells) -> Fit:
     shares = stiffness * row_variances(rows, fit.inverse)
     known = np.diag(0.5 * np.maximum(hats.T @ (1.0 - shares), 0.0) + _FAINT)
     doubt = np.linalg.inv(known + _ties(hats.shape[1], fit.closed)).diagonal()
-    loose = _Leash(fit.control_mm, math.inf)  # it held the search back; it is no knowledge
+    loose = _leash(fit.control_mm, math.inf)  # it held the search back; it is no knowledge
     bare = hats.T @ ~borne / hats.sum(axis=0)
     softer = fit.log_stiffness - 0.25 * (1.0 + bare) * np.minimum(doubt, _MOST_DOUBT)
     again, _ = _round(
@@ -184,6 +201,14 @@ def stiffness_along(fit: Fit) -> FloatArray:
     lengths = span_lengths(fit.control_mm, fit.spans)
     stiffness = np.exp(_hats(fit.spans, fit.closed) @ fit.log_stiffness)
     return np.asarray(stiffness / np.maximum(lengths, 1e-3 * lengths.mean()))
+
+
+def stiff_start(
+    cells: ArcCells, control_mm: FloatArray, noise: Noise, *, closed: bool
+) -> FloatArray:
+    """Log stiffness to start from where a fit from the usual one strayed; one for all stations."""
+    lengths = span_lengths(control_mm, spans_of(control_mm, closed=closed))
+    return np.full(2, _usual_log_stiffness(cells, lengths, noise) + _STIFFER)
 
 
 def _haste(step: FloatArray, before: FloatArray) -> FloatArray:
@@ -214,12 +239,11 @@ def _round(
     _, changes, rows = curvature_changes(control, normals, spans, closed=closed)
     band, right = np.zeros((len(control), 4)), np.zeros((len(control), 1))
     distances, scatters, weights = sweep(
-        control, normals, t, cells.counts, cells.means_mm, cells.covariances_mm2,
+        control, normals, t, cells.counts, cells.counts / noise.kinship, cells.means_mm,
+        cells.covariances_mm2,
         noise.variance_mm2 * noise.relative, band, right,
         closed=closed, rounds=2 if turn < 2 else 1,
     )  # fmt: skip
-    band /= noise.inflation
-    right /= noise.inflation
     lengths = span_lengths(control, spans)
     stiffness = np.exp(hats @ log_stiffness) / np.maximum(lengths, 1e-3 * lengths.mean())
     add_penalty(band, right, rows, changes, stiffness)
@@ -235,10 +259,12 @@ def _round(
     held = cells.counts * weights
     square = float((held * (distances**2 + scatters) / noise.relative).sum())
     # A linearisation is good for a span; farther off the curve would fold.
-    moves *= min(1.0, float(lengths.mean()) / max(float(np.abs(moves).max()), 1e-300))
+    farthest = float(np.abs(moves).max())
+    if farthest > float(lengths.mean()):
+        moves *= float(lengths.mean()) / farthest
     fit = Fit(
         control + moves * normals, closed, t, learnt,
-        _rescaled(noise, square, float(held.sum()), edf, float(np.ptp(control, axis=0).max())),
+        _rescaled(noise, square, float(held.sum()), edf, leash.least_mm2),
         edf, distances, scatters, weights, inverse, rounds=turn + 1,
     )  # fmt: skip
     return fit, moves
@@ -250,10 +276,9 @@ def _sound(fit: Fit, cells: ArcCells) -> bool:
     return bool(solved and float(cells.counts @ fit.weights) >= _LEAST_POINTS)
 
 
-def _rescaled(noise: Noise, square: float, held: float, edf: float, size_mm: float) -> Noise:
+def _rescaled(noise: Noise, square: float, held: float, edf: float, least_mm2: float) -> Noise:
     freedom = max(held - edf, 0.1 * held, 1.0)
-    least = (1e-7 * size_mm) ** 2  # exact data have no scatter at all
-    return Noise(max(square / freedom, least), noise.relative, noise.inflation)
+    return replace(noise, variance_mm2=max(square / freedom, least_mm2))
 
 
 def _fellner_schall(

@@ -1,7 +1,8 @@
 """Few points, hardly noisier than they are far apart: the points themselves in order.
 
 The shortest tree that spans the points of one well sampled run is a path but for twigs of a point
-or two; the twigs are put where they lengthen the path least, and crossings undone (2-opt). Where
+or two; the twigs are put where they lengthen the path least, and crossings undone (2-opt). Longer
+branches are runs of their own. Where
 the noise is wider than the spacing the tree is bushy and this gives up: bands are for `linking`.
 """
 
@@ -27,11 +28,14 @@ def span(places: FloatArray) -> list[IntArray] | None:
     parents, edges = spanning_tree(places)
     runs = []
     twigs = 0
-    for members, tree in _parts(places, parents, edges):
+    parts = _parts(places, parents, edges)
+    while parts:
+        members, tree = parts.pop()
         if len(members) < _LEAST:
             twigs += len(members)
             continue
-        path, off = _path_of(places[members], tree)
+        path, off, branches = _path_of(places[members], tree)
+        parts += [(members[branch], bush) for branch, bush in branches]
         if off <= _BUSHY * len(members) and _detour(places[members[path]]) <= _ZIGZAG:
             runs.append(members[path])
         else:
@@ -100,25 +104,49 @@ def _usual(place: int, parents: IntArray, around: list[list[float]]) -> float:
     return float(np.median(lengths))
 
 
-def _path_of(places: FloatArray, tree: list[list[int]]) -> tuple[IntArray, int]:
-    """The longest path of a tree with its twigs put in, and how many points lie on longer ones."""
+def _path_of(
+    places: FloatArray, tree: list[list[int]]
+) -> tuple[IntArray, int, list[tuple[IntArray, list[list[int]]]]]:
+    """The longest path of a tree, its twigs put in, and long branches as trees of their own.
+
+    Between the two, how many points are of twigs longer than they should be.
+    """
     far = _farthest(places, tree, 0)[-1]
     path = _farthest(places, tree, far)
     on_path = set(path)
     off = 0
+    branches = []
     for place in list(path):
-        stack = [(other, place) for other in tree[place] if other not in on_path]
-        twig = []
-        while stack:
-            here, back = stack.pop()
-            twig.append(here)
-            stack += [(other, here) for other in tree[here] if other != back]
-        off += len(twig) if len(twig) > _TWIG else 0
-        for one in twig:
-            _insert(places, path, one)
+        for root in tree[place]:
+            if root in on_path:
+                continue
+            twig = _beyond(tree, root, place)
+            if len(twig) >= _LEAST:
+                branches.append(_subtree(tree, twig))
+                continue
+            off += len(twig) if len(twig) > _TWIG else 0
+            for one in twig:
+                _insert(places, path, one)
     order = np.array(path)
     _uncross(places, order)
-    return order, off
+    return order, off, branches
+
+
+def _beyond(tree: list[list[int]], root: int, back: int) -> list[int]:
+    """What hangs on a root, itself included, away from where it hangs."""
+    found, stack = [], [(root, back)]
+    while stack:
+        here, before = stack.pop()
+        found.append(here)
+        stack += [(other, here) for other in tree[here] if other != before]
+    return found
+
+
+def _subtree(tree: list[list[int]], members: list[int]) -> tuple[IntArray, list[list[int]]]:
+    """Some members of a tree as a tree of its own."""
+    position = {member: k for k, member in enumerate(members)}
+    bush = [[position[other] for other in tree[m] if other in position] for m in members]
+    return np.array(members), bush
 
 
 def _farthest(places: FloatArray, tree: list[list[int]], start: int) -> list[int]:

@@ -29,6 +29,7 @@ def sweep(
     normals: FloatArray,
     t: FloatArray,
     counts: FloatArray,
+    independent: FloatArray,
     means: FloatArray,
     covariances: FloatArray,
     variances: FloatArray,
@@ -47,6 +48,8 @@ def sweep(
 
     Parameters
     ----------
+    counts, independent
+        (m,), points of each cell, and how many independent ones they are worth.
     variances
         (m,), of one point across the curve, at each cell; also taken as its variance along it.
     covariances
@@ -58,55 +61,35 @@ def sweep(
     end = float(n if closed else n - 3)
     distances, scatters, weights = np.empty((3, len(t)))
     row = np.empty(4)
-    full = np.concatenate((control, control[:3])) if closed else control
+    polynomials = _polynomials(control, int(end))
+    for _ in range(rounds):
+        _step(polynomials, t, means, closed)
     for m in range(len(t)):
-        x, y = means[m]
-        u = t[m]
-        for step in range(rounds + 1):
-            span = max(min(int(u), int(end) - 1), 0)
-            f = u - span
-            g = 1.0 - f
-            b = (g * g * g / 6, (3 * f * f * f - 6 * f * f + 4) / 6,
-                 (3 * g * g * g - 6 * g * g + 4) / 6, f * f * f / 6)  # fmt: skip
-            d = (-g * g / 2, (3 * f * f - 4 * f) / 2, (4 * g - 3 * g * g) / 2, f * f / 2)
-            e = (g, 3 * f - 2, 3 * g - 2, f)
-            px = py = dx = dy = ex = ey = 0.0
-            for k in range(4):
-                cx, cy = full[span + k, 0], full[span + k, 1]
-                px += b[k] * cx
-                py += b[k] * cy
-                dx += d[k] * cx
-                dy += d[k] * cy
-                ex += e[k] * cx
-                ey += e[k] * cy
-            wx, wy = x - px, y - py
-            square = max(dx * dx + dy * dy, 1e-300)
-            if step == rounds:
-                break
-            # Near the centre of curvature Newton's step would be wild: it is kept within a knot.
-            bent = max(square - (wx * ex + wy * ey), 0.25 * square)
-            u += min(max((wx * dx + wy * dy) / bent, -1.0), 1.0)
-            if closed:
-                u = u + end if u < 0.0 else u
-                u = u - end if u >= end else u
-            else:
-                u = min(max(u, 0.0), end)
-        t[m] = u
-        speed = math.sqrt(square)
-        nx, ny = -dy / speed, dx / speed
-        kappa = (dx * ey - dy * ex) / (square * speed)
+        span = max(min(int(t[m]), int(end) - 1), 0)
+        f = t[m] - span
+        px, py, dx, dy, ex, ey = _bent(polynomials, span, f)
+        wx, wy = means[m, 0] - px, means[m, 1] - py
+        square = max(dx * dx + dy * dy, 1e-300)
+        inverse, precision = 1.0 / square, 1.0 / variances[m]
+        root = math.sqrt(inverse)
+        nx, ny = -dy * root, dx * root
+        kappa = (dx * ey - dy * ex) * inverse * root
         distance = wx * nx + wy * ny
-        xx, xy, yy = covariances[m]
-        along = (dx * dx * xx + 2 * dx * dy * xy + dy * dy * yy) / square
-        across = (dy * dy * xx - 2 * dx * dy * xy + dx * dx * yy) / square
+        xx, xy, yy = covariances[m, 0], covariances[m, 1], covariances[m, 2]
+        along = (dx * dx * xx + 2 * dx * dy * xy + dy * dy * yy) * inverse
+        across = (dy * dy * xx - 2 * dx * dy * xy + dx * dx * yy) * inverse
         flat = max(1.0 - kappa * distance, 0.25)
         distance += 0.5 * kappa * (variances[m] - along) / flat
         distances[m], scatters[m] = distance, max(across, 0.0)
-        spread = math.sqrt(variances[m] / counts[m])
-        z = math.fabs(distance) / spread if spread > 0.0 else 0.0
-        share = min(max((_NONE - z) / (_NONE - _FULL), 0.0), 1.0) if counts[m] == 1.0 else 1.0
+        share = 1.0
+        if counts[m] == 1.0 and variances[m] > 0.0:
+            z = math.fabs(distance) * math.sqrt(precision)
+            share = min(max((_NONE - z) / (_NONE - _FULL), 0.0), 1.0)
         weights[m] = share * share * (3.0 - 2.0 * share)
-        scale = counts[m] * weights[m] / variances[m]
+        scale = independent[m] * weights[m] * precision
+        g = 1.0 - f
+        b = (g * g * g / 6, (3 * f * f * f - 6 * f * f + 4) / 6,
+             (3 * g * g * g - 6 * g * g + 4) / 6, f * f * f / 6)  # fmt: skip
         for k in range(4):
             at = span + k if span + k < n else span + k - n
             row[k] = b[k] * (normals[at, 0] * nx + normals[at, 1] * ny)
@@ -116,3 +99,59 @@ def sweep(
             for q in range(k, 4):
                 band[at, q - k] += scale * row[k] * row[q]
     return distances, scatters, weights
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _step(
+    polynomials: FloatArray,
+    t: FloatArray,
+    means: FloatArray,
+    closed: bool,  # noqa: FBT001
+) -> None:
+    """One Newton step of every foot point; cell by cell each would wait for the one before."""
+    end = float(len(polynomials))
+    for m in range(len(t)):
+        span = max(min(int(t[m]), len(polynomials) - 1), 0)
+        px, py, dx, dy, ex, ey = _bent(polynomials, span, t[m] - span)
+        wx, wy = means[m, 0] - px, means[m, 1] - py
+        square = max(dx * dx + dy * dy, 1e-300)
+        # Near the centre of curvature Newton's step would be wild: it is kept within a knot.
+        bent = max(square - (wx * ex + wy * ey), 0.25 * square)
+        u = t[m] + min(max((wx * dx + wy * dy) / bent, -1.0), 1.0)
+        if closed:
+            u = u + end if u < 0.0 else u
+            t[m] = u - end if u >= end else u
+        else:
+            t[m] = min(max(u, 0.0), end)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _bent(
+    polynomials: FloatArray, span: int, f: float
+) -> tuple[float, float, float, float, float, float]:
+    """Place, first and second derivative on a span."""
+    x0, x1, x2, x3, y0, y1, y2, y3 = polynomials[span]
+    return (
+        ((x3 * f + x2) * f + x1) * f + x0,
+        ((y3 * f + y2) * f + y1) * f + y0,
+        (3 * x3 * f + 2 * x2) * f + x1,
+        (3 * y3 * f + 2 * y2) * f + y1,
+        6 * x3 * f + 2 * x2,
+        6 * y3 * f + 2 * y2,
+    )
+
+
+@njit(cache=True, nogil=True)
+def _polynomials(control: FloatArray, spans: int) -> FloatArray:
+    """Coefficients of x and of y on every span, the constant ones first, (spans, 8)."""
+    n = len(control)
+    out = np.empty((spans, 8))
+    for i in range(spans):
+        for axis in range(2):
+            a, b = control[i, axis], control[(i + 1) % n, axis]
+            c, d = control[(i + 2) % n, axis], control[(i + 3) % n, axis]
+            out[i, 4 * axis] = (a + 4 * b + c) / 6
+            out[i, 4 * axis + 1] = (c - a) / 2
+            out[i, 4 * axis + 2] = (a - 2 * b + c) / 2
+            out[i, 4 * axis + 3] = (d - 3 * c + 3 * b - a) / 6
+    return out

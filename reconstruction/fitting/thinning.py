@@ -8,7 +8,7 @@ polynomials, so that neither a bend nor an end draws it inward. Lengths along a 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -16,26 +16,18 @@ from scipy.ndimage import median_filter
 from scipy.spatial import cKDTree
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
+from reconstruction.fitting.regression import EXACT, FAR, WINDOW, regress
+from reconstruction.fitting.stretches import gaps_among, grid_between
+from reconstruction.fitting.support import Nodes, levelled
 
 _ROUNDS = 2
-_STEP = 0.5  # reaches from node to node
-_HOLE = 1.5  # reaches without a point: no node is put there, where it would hang in the air
-_GAP = 3.0  # reaches without a point: the chain says so
+_PLENTY = 3.0  # points in a reach: a shorter one will do where there are more
 _THICK = 5.0  # standard deviations: no reach is shorter, or noise would bend the row
 _BROAD = 10.0  # standard deviations: nor sees a parabola less far to either side
-_WINDOW = 1.25  # reaches to either side of a node that its parabola sees; at most twice that
-_LEAST_POINTS = 4  # in a window; it grows until it has them
-_PARABOLA = 8.0  # points; fewer in a window get a line
-_FAR = 4.0  # standard deviations: farther across, a point has no say
-_FEW = 16  # places in a window, among which a stray must be looked for one by one ...
-_WORSE = 1.25  # ... and how much farther than far it must be from the others' fit
-_EXACT = 1e-9  # of the slice's size: noise of the arithmetic
-_SUPPORT = 4  # points close by, with which a node may lie anywhere; with fewer, ...
-_BULGE = 2.5  # ... no more standard deviations than this from the nodes beside it
-_STEADY = 15  # nodes over whose spreads the median is taken
-
-# Place, slope and bend of a window's parabola: x + sx u + bx u^2, y + sy u + by u^2.
-Parabola = tuple[float, float, float, float, float, float]
+_EXACTLY = 0.03  # times the way to the next: points that scatter less are exact
+_EVEN = 7  # steps over which the median is taken, among exact points
+_UNSTEADY = 4.0  # times the usual deviation: more is a bad fit
+_MERGED = 1.5  # times what the places around each scatter: farther off, another run is mixed in
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +39,7 @@ class Row:
     reach: FloatArray  # (m,)
     closed: bool
     gaps: tuple[int, ...] = ()  # after which nodes there is one that no point supports
+    exact: bool = False  # the nodes are the points themselves
 
     @property
     def length(self) -> float:
@@ -55,9 +48,19 @@ class Row:
 
 
 def thin(
-    places: FloatArray, slots: IntArray, reach: FloatArray, count: int, *, closed: bool
-) -> Row:
-    """Thin the places (k, 2) of one run, each in one of `count` slabs in order, to nodes."""
+    places: FloatArray,
+    slots: IntArray,
+    reach: FloatArray,
+    scatter: FloatArray,
+    count: int,
+    *,
+    closed: bool,
+) -> tuple[Row, IntArray]:
+    """Thin the places (k, 2) of one run, each in one of `count` slabs in order, to nodes.
+
+    And say how many places lie far from where their row then runs, by how its places scatter, and
+    by how those around each do.
+    """
     held = np.bincount(slots, minlength=count)
     used = held > 0
     sums = [np.bincount(slots, v, count)[used] for v in (places[:, 0], places[:, 1], reach)]
@@ -66,32 +69,65 @@ def thin(
     at = (np.cumsum(used) - 1)[slots]
     for _ in range(_ROUNDS):
         row, at = _thinned(places, row, at)
-    return row
+    if count == len(places) and _is_exact(places, row):
+        at = np.argsort(slots)
+        return _as_they_are(places[at], row), np.zeros(2, np.int64)
+    return row, _far_off(places, row, at, scatter)
 
 
 def thin_again(places: FloatArray, row: Row) -> Row:
     """Thin the places (k, 2) of a row anew, where it was put together of several."""
-    return _thinned(places, row, np.asarray(cKDTree(row.nodes).query(places)[1]))[0]
+    at = np.asarray(cKDTree(row.nodes).query(places)[1])
+    if row.exact:
+        return _as_they_are(places[np.argsort(_lay_along(places, row, at)[0], kind="stable")], row)
+    return _thinned(places, row, at)[0]
+
+
+def _is_exact(places: FloatArray, row: Row) -> bool:
+    """Whether places in order, as many as slabs, hardly scatter beside the way to the next."""
+    return float(np.quantile(row.sigma, 0.9)) < _EXACTLY * row.length / len(places)
+
+
+def _as_they_are(places: FloatArray, row: Row) -> Row:
+    """A row of places in order, and the gaps among them."""
+    nearest = np.asarray(cKDTree(row.nodes).query(places)[1])
+    steps = np.linalg.norm(np.roll(places, -1, axis=0) - places, axis=1)
+    usual = 2.0 * median_filter(steps, size=_EVEN, mode="wrap" if row.closed else "nearest")
+    along = np.concatenate([[0.0], (steps / np.maximum(usual, 1e-300)).cumsum()])
+    gaps = gaps_among(along[:-1], float(along[-1]) if row.closed else np.inf)
+    return Row(places, row.sigma[nearest], usual, row.closed, gaps, exact=True)
+
+
+def _far_off(places: FloatArray, row: Row, at: IntArray, scatter: FloatArray) -> IntArray:
+    """How many places lie farther from a row than they should, by either measure."""
+    if len(row.nodes) < 2:
+        return np.zeros(2, np.int64)
+    away = _lay_along(places, row, at)[2]
+    spread = row.sigma[np.clip(at, 0, len(row.sigma) - 1)]
+    limits = np.stack([spread, np.minimum(spread, _MERGED * scatter)])
+    return np.asarray((away > FAR * limits + EXACT).sum(axis=1))
 
 
 def _thinned(places: FloatArray, row: Row, at: IntArray) -> tuple[Row, IntArray]:
     """One round: new nodes, and after which of them each place lies."""
-    along, ups = _lay_along(places, row, at)
+    along, ups, _ = _lay_along(places, row, at)
     period = float(ups[-1]) if row.closed else np.inf
     order = np.argsort(along, kind="stable")
-    grid, gaps = _grid_between(along[order], period)
     knots = [np.append(v, v[0]) if row.closed else v for v in (row.sigma, row.reach)]
+    thick = np.interp(along[order], ups, _THICK * knots[0] / knots[1])
+    grid, gaps = grid_between(along[order], thick, period)
     spread, reach = (np.interp(grid, ups, values) for values in knots)
-    nodes, sigma = _regress(
-        along[order], places[order], grid, spread, _windows(spread, reach), period
-    )
+    widest = _windows(spread, reach)
+    middles, sigma, close = regress(along[order], places[order], grid, spread, widest, period)
+    nodes = Nodes(middles, sigma, close, grid, period)
     # A stray beside a few nodes does not make the band wide there.
-    sigma = median_filter(sigma, size=_STEADY, mode="wrap" if row.closed else "nearest")
-    reach = np.maximum(reach, _THICK * sigma)
-    supported = _supported(along[order], grid, period)
-    nodes, kept = _levelled(nodes, sigma, grid, supported, period)
+    sigma = nodes.steadied(sigma)
+    sigma = np.minimum(sigma, _UNSTEADY * np.median(sigma))
+    enough = np.minimum(1.0, _PLENTY / np.maximum(nodes.steadied(close), 1.0))
+    reach = np.maximum(reach * enough, _THICK * sigma)
+    middles, kept = levelled(replace(nodes, sigma=sigma))
     gaps = _gaps_among(kept, gaps, closed=row.closed)
-    new = Row(nodes[kept], sigma[kept], reach[kept], row.closed, gaps)
+    new = Row(middles[kept], sigma[kept], reach[kept], row.closed, gaps)
     return new, np.searchsorted(grid[kept], along, side="right") - 1
 
 
@@ -107,96 +143,35 @@ def _gaps_among(kept: BoolArray, gaps: tuple[int, ...], *, closed: bool) -> tupl
     return tuple(sorted(place for place in found if 0 <= place < count - 1))
 
 
-def _supported(along: FloatArray, grid: FloatArray, period: float) -> BoolArray:
-    """Whether more than a point or two lie close to each place of the grid."""
-    if period < np.inf:
-        along = np.concatenate([along - period, along, along + period])
-    held = np.searchsorted(along, grid + _STEP, "right") - np.searchsorted(along, grid - _STEP)
-    return np.asarray(held >= _SUPPORT)
-
-
-def _levelled(
-    nodes: FloatArray, sigma: FloatArray, grid: FloatArray, supported: BoolArray, period: float
-) -> tuple[FloatArray, BoolArray]:
-    """Put what bulges out for a point or two back between the supported nodes beside it.
-
-    At the edge of a gap there is nothing beside it on one side: it is not kept.
-    """
-    if supported.mean() < 0.5 or supported.all():
-        return nodes, np.ones(len(nodes), np.bool_)
-    at, columns = grid[supported], nodes[supported]
-    if period < np.inf:
-        at = np.concatenate([at[-1:] - period, at, at[:1] + period])
-        columns = np.concatenate([columns[-1:], columns, columns[:1]])
-    following = np.searchsorted(at, grid)
-    inner = (following > 0) & (following < len(at))
-    following = np.clip(following, 1, len(at) - 1)
-    # Not across a gap: there nobody knows where the middle runs.
-    inner &= at[following] - at[following - 1] <= _GAP
-    between = np.stack([np.interp(grid, at, column) for column in columns.T], axis=1)
-    bulges = np.linalg.norm(nodes - between, axis=1) > _BULGE * sigma + _EXACT
-    return np.where((bulges & ~supported & inner)[:, None], between, nodes), supported | inner
-
-
 def _windows(spread: FloatArray, reach: FloatArray) -> FloatArray:
     """Half window of each parabola, in reaches; a spread not known yet is infinite."""
     known = np.where(np.isfinite(spread), spread, 0.0)
-    return np.clip(_BROAD * known / np.maximum(reach, 1e-300), _WINDOW, 2.0 * _WINDOW)
+    return np.clip(_BROAD * known / np.maximum(reach, 1e-300), WINDOW, 2.0 * WINDOW)
 
 
-def _grid_between(along: FloatArray, period: float) -> tuple[FloatArray, tuple[int, ...]]:
-    """Steps along the stretches that points support, and after which of them a gap follows."""
-    closed = period < np.inf
-    if closed:
-        breaks = np.flatnonzero(np.diff(along, append=along[0] + period) > _HOLE)
-        if not len(breaks):
-            return np.linspace(0.0, period, max(round(period / _STEP), 4), endpoint=False), ()
-        # From one hole to its repetition.
-        along = np.concatenate([along[breaks[0] + 1 :], along[: breaks[0] + 1] + period])
-    else:
-        along = _without_tails(along)
-    breaks = np.flatnonzero(np.diff(along) > _HOLE)
-    starts, ends = along[np.append(0, breaks + 1)], along[np.append(breaks, len(along) - 1)]
-    pieces = [
-        np.linspace(start, end, max(round((end - start) / _STEP), 1) + 1)
-        for start, end in zip(starts, ends, strict=True)
-    ]
-    grid = np.concatenate(pieces)
-    wide = np.append(starts[1:], starts[0] + period) - ends > _GAP
-    gaps = (np.cumsum([len(piece) for piece in pieces]) - 1)[wide]
-    if not closed:
-        return grid, tuple(gaps[:-1].tolist())
-    grid = np.mod(grid, period)
-    first = int(np.argmin(grid))
-    return np.roll(grid, -first), tuple(sorted(((gaps - first) % len(grid)).tolist()))
-
-
-def _without_tails(along: FloatArray) -> FloatArray:
-    """Without the first and last two of many points: they may be strays beyond the ends."""
-    beyond = min(2, len(along) // 100)
-    inner = along[beyond : len(along) - beyond]
-    return inner if inner[-1] > inner[0] else np.array([inner[0], inner[0] + _STEP])
-
-
-def _lay_along(places: FloatArray, row: Row, at: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Where each place lies along the row, in reaches; and the row's nodes."""
+def _lay_along(
+    places: FloatArray, row: Row, at: IntArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Where each place lies along the row, in reaches; the row's nodes; and how far off it lies."""
     ring = np.vstack([row.nodes, row.nodes[:1]]) if row.closed else row.nodes
     scales = np.append(row.reach, row.reach[0]) if row.closed else row.reach
     steps = np.linalg.norm(np.diff(ring, axis=0), axis=1)
     steps = 2.0 * steps / np.maximum(scales[1:] + scales[:-1], 1e-300)
     ups = np.concatenate([[0.0], np.cumsum(np.maximum(steps, 1e-9))])
     if len(ring) == 1:
-        return np.zeros(len(places)), ups
-    return _project(places, ring, ups, at, closed=row.closed), ups
+        away = np.linalg.norm(places - ring[0], axis=1)
+        return np.zeros(len(places)), ups, away
+    along, away = _project(places, ring, ups, at, closed=row.closed)
+    return along, ups, away
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _project(
     places: FloatArray, ring: FloatArray, ups: FloatArray, at: IntArray, *, closed: bool
-) -> FloatArray:
-    """Foot of each place on the segments around the one it is said to be at."""
+) -> tuple[FloatArray, FloatArray]:
+    """Foot of each place on the segments around the one it is said to be at, and how far off."""
     segments = len(ring) - 1
-    along = np.empty(len(places))
+    along, off = np.empty(len(places)), np.empty(len(places))
     for n in range(len(places)):
         best = np.inf
         middle = min(max(at[n], 0), segments - 1)
@@ -219,196 +194,5 @@ def _project(
             if away < best:
                 best = away
                 along[n] = ups[k] + f * (ups[k + 1] - ups[k])
-    return along
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _regress(
-    along: FloatArray,
-    places: FloatArray,
-    grid: FloatArray,
-    spread: FloatArray,
-    windows: FloatArray,
-    period: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Middle of the band and standard deviation across it at every place of the grid.
-
-    Places are in order of `along`; those of a closed row repeat after a period.
-    """
-    count = len(along)
-    middles, sigma = np.empty((len(grid), 2)), np.empty(len(grid))
-    for g in range(len(grid)):
-        window = windows[g]
-        first, last = _within(along, grid[g], window, period)
-        while last - first < min(_LEAST_POINTS, count) and window < 1e6:
-            window *= 1.5
-            first, last = _within(along, grid[g], window, period)
-        # About one of the places, that differences of large coordinates do not cancel.
-        origin = places[first % count]
-        nothing = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        fit = _parabola(
-            along, places, origin, grid[g], window, first, last, last, nothing, np.inf, period
-        )
-        if spread[g] < np.inf:
-            far = _FAR * spread[g] + _EXACT
-            if last - first <= _FEW:
-                fit = _without_the_worst(
-                    along, places, origin, grid[g], window, first, last, fit, far, period
-                )
-            fit = _parabola(
-                along, places, origin, grid[g], window, first, last, last, fit, far, period
-            )
-        else:
-            far = np.inf
-        middles[g, 0], middles[g, 1] = origin[0] + fit[0], origin[1] + fit[1]
-        sigma[g] = _scatter(along, places, origin, grid[g], first, last, fit, far, period)
-    return middles, sigma
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _within(along: FloatArray, at: float, window: float, period: float) -> tuple[int, int]:
-    """First and last + 1 of the places in a window; below 0 and from count on they repeat."""
-    count = len(along)
-    first = np.searchsorted(along, at - window)
-    last = np.searchsorted(along, at + window)
-    if period < np.inf:
-        if at - window < 0.0:
-            before = np.searchsorted(along, at - window + period)
-            first = (before if before > last else last) - count
-        if at + window > period:
-            last = np.searchsorted(along, at + window - period) + count
-        if last > first + count:
-            last = first + count
-    return int(first), int(last)
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _wrapped(m: int, count: int, period: float) -> tuple[int, float]:
-    """Row of a repeated place, and how far its repetition is moved along."""
-    if m < 0:
-        return m + count, -period
-    if m >= count:
-        return m - count, period
-    return m, 0.0
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _across(fit: Parabola, u: float, x: float, y: float) -> float:
-    """Distance of a place from the parabola, across its slope in the middle."""
-    ex = x - fit[0] - (fit[2] + fit[4] * u) * u
-    ey = y - fit[1] - (fit[3] + fit[5] * u) * u
-    slope = math.sqrt(fit[2] * fit[2] + fit[3] * fit[3])
-    return float((ex * fit[3] - ey * fit[2]) / max(slope, 1e-300))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _without_the_worst(
-    along: FloatArray,
-    places: FloatArray,
-    origin: FloatArray,
-    at: float,
-    window: float,
-    first: int,
-    last: int,
-    fit: Parabola,
-    far: float,
-    period: float,
-) -> Parabola:
-    """The fit to all but the place that lies farthest from the fit to the others, if it is far.
-
-    Among few, a stray draws the fit so near that it does not look like one.
-    """
-    nothing = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    worst = _WORSE * far
-    for m in range(first, last):
-        n, moved = _wrapped(m, len(along), period)
-        others = _parabola(
-            along, places, origin, at, window, first, last, m, nothing, np.inf, period
-        )
-        x, y = places[n, 0] - origin[0], places[n, 1] - origin[1]
-        across = abs(_across(others, along[n] + moved - at, x, y))
-        if across > worst:
-            worst, fit = across, others
-    return fit
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _parabola(
-    along: FloatArray,
-    places: FloatArray,
-    origin: FloatArray,
-    at: float,
-    window: float,
-    first: int,
-    last: int,
-    left_out: int,
-    before: Parabola,
-    far: float,
-    period: float,
-) -> Parabola:
-    """Weighted fit in a window, without what lies far from the fit before; at ends a line.
-
-    `left_out` is the position of a place that has no say; `last` is nobody's.
-    """
-    s0 = s1 = s2 = s3 = s4 = x0 = x1 = x2 = y0 = y1 = y2 = 0.0
-    held = left = right = 0.0
-    for m in range(first, last):
-        if m == left_out:
-            continue
-        n, moved = _wrapped(m, len(along), period)
-        u = along[n] + moved - at
-        z = u / window
-        weight = 1.0 - z * z
-        if weight <= 0.0:
-            continue
-        weight *= weight
-        x, y = places[n, 0] - origin[0], places[n, 1] - origin[1]
-        if far < np.inf and abs(_across(before, u, x, y)) > far:
-            continue
-        held += 1.0
-        left, right = min(left, z), max(right, z)
-        w1 = weight * u
-        w2 = w1 * u
-        s0, s1, s2, s3, s4 = s0 + weight, s1 + w1, s2 + w2, s3 + w2 * u, s4 + w2 * u * u
-        x0, x1, x2 = x0 + weight * x, x1 + w1 * x, x2 + w2 * x
-        y0, y1, y2 = y0 + weight * y, y1 + w1 * y, y2 + w2 * y
-    if s0 <= 0.0:
-        return before
-    mean, square = s1 / s0, s2 / s0
-    a11, a12, a22 = s2 - s1 * mean, s3 - s2 * mean, s4 - s2 * square
-    if a11 <= 1e-12 * s0:
-        return x0 / s0, y0 / s0, 0.0, 0.0, 0.0, 0.0
-    bx = by = 0.0
-    determinant = a11 * a22 - a12 * a12
-    if held >= _PARABOLA and left < -0.4 and right > 0.4 and determinant > 1e-9 * a11 * a22:
-        bx = (a11 * (x2 - square * x0) - a12 * (x1 - mean * x0)) / determinant
-        by = (a11 * (y2 - square * y0) - a12 * (y1 - mean * y0)) / determinant
-    sx = (x1 - mean * x0 - bx * a12) / a11
-    sy = (y1 - mean * y0 - by * a12) / a11
-    return (x0 - sx * s1 - bx * s2) / s0, (y0 - sy * s1 - by * s2) / s0, sx, sy, bx, by
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _scatter(
-    along: FloatArray,
-    places: FloatArray,
-    origin: FloatArray,
-    at: float,
-    first: int,
-    last: int,
-    fit: Parabola,
-    far: float,
-    period: float,
-) -> float:
-    """Standard deviation of a window's places across its parabola."""
-    squares = held = 0.0
-    for m in range(first, last):
-        n, moved = _wrapped(m, len(along), period)
-        across = _across(
-            fit, along[n] + moved - at, places[n, 0] - origin[0], places[n, 1] - origin[1]
-        )
-        if abs(across) <= far:
-            squares += across * across
-            held += 1.0
-    freedom = held - (3.0 if fit[4] != 0.0 or fit[5] != 0.0 else 2.0)
-    return math.sqrt(squares / max(freedom, 1.0))
+        off[n] = math.sqrt(best)
+    return along, off

@@ -12,7 +12,7 @@ looked for as far as makes clean runs (`scale`), gaps are judged by the ends tha
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,13 +22,14 @@ from reconstruction.errors import TooFewPoints
 from reconstruction.fitting.cells import Int32Array, bounds
 from reconstruction.fitting.chain import Chain
 from reconstruction.fitting.closing import Joined, join
+from reconstruction.fitting.crossing import Strand, uncross
+from reconstruction.fitting.gathering import gather, nearest_row
 from reconstruction.fitting.places import Places, look_at
 from reconstruction.fitting.scale import Order, order
-from reconstruction.fitting.thinning import Row, thin, thin_again
+from reconstruction.fitting.thinning import Row, thin_again
 
-_LEAST_POINTS = 5  # in a run
 _HEAP = 10  # points; fewer without an order are strays
-_STOUT = 6.0  # full bands: a run no longer than this is a heap
+_STOUT = 3.0  # full bands: a run no longer than this is a heap
 _LARGEST_MM = 1e100  # coordinates beyond are no lengths; their squares must stay finite
 
 STRAY = -1
@@ -89,53 +90,55 @@ def find_chains(points_mm: ArrayLike) -> Topology:
         raise ValueError("points must be finite lengths in mm: set NaN and infinity aside first")
     places = look_at(points, low, high)
     found = order(places)
-    rows, row_of_run = _rows(places, found)
-    kept, chain_of_row = _kept(places, found, rows, row_of_run)
-    # The last entries answer for what has no row, and no run: -1, -2.
-    chain_of_run = np.append(np.append(chain_of_row, [UNORDERED, STRAY])[row_of_run], STRAY)
-    chain_of_point = places.of_points(points, chain_of_run[found.runs.run_of_place])
-    return _concluded(places, kept, chain_of_point)
+    joined, chain_of_run = _joined(places, found)
+    joined, chain_of_run = gather(joined, found, places, chain_of_run)
+    # The last entry answers for what has no run.
+    chain_of_place = np.append(chain_of_run, STRAY)[found.runs.run_of_place]
+    strands = uncross(_strands(places, joined, chain_of_place))
+    kept, chain_of_place = _kept(places, joined, strands, chain_of_place)
+    return _concluded(places, kept, places.of_points(points, chain_of_place))
+
+
+def _joined(places: Places, found: Order) -> tuple[list[Joined], IntArray]:
+    """Rows joined to chains; the chain of each run, or STRAY or UNORDERED."""
+    sampled = found.runs.run_of_place[places.place_of_sample]
+    held = np.bincount(sampled[sampled >= 0], minlength=len(found.rows))
+    chain_of_run = np.where(held >= _HEAP, UNORDERED, STRAY)
+    numbers = [number for number, row in enumerate(found.rows) if row is not None]
+    joined = join([row for row in found.rows if row is not None])
+    chain_of_run[numbers] = STRAY
+    for chain, one in enumerate(joined):
+        chain_of_run[[numbers[member] for member in one.members]] = chain
+    return joined, chain_of_run
+
+
+def _strands(places: Places, joined: list[Joined], chain_of_place: IntArray) -> list[Strand]:
+    """Chains, thinned anew where they were put together."""
+    sampled = chain_of_place[places.place_of_sample]
+    found = []
+    for number, one in enumerate(joined):
+        row = one.row
+        if one.put_together:
+            row = thin_again(places.sample[sampled == number], row)
+        found.append(Strand(row, number, one.ambiguous))
+    return found
 
 
 def _kept(
-    places: Places, found: Order, rows: list[Row], row_of_run: IntArray
-) -> tuple[list[Joined], IntArray]:
-    """Join the rows and smooth their seams; the chain of each row."""
-    chain_of_row = np.full(len(rows), STRAY)
-    run_of_sample = found.runs.run_of_place[places.place_of_sample]
-    kept: list[Joined] = []
-    for joined in join(rows):
-        row, members = joined.row, list(joined.members)
-        if row is not rows[members[0]]:
-            mine = np.append(np.isin(row_of_run, members), False)[run_of_sample]
-            row = thin_again(places.sample[mine], row)
-        if _is_heap(row):
-            chain_of_row[members] = UNORDERED
-        else:
-            chain_of_row[members] = len(kept)
-            kept.append(replace(joined, row=row))
-    return kept, chain_of_row
-
-
-def _rows(places: Places, found: Order) -> tuple[list[Row], IntArray]:
-    """Thin each run; the row of each run, or STRAY or UNORDERED."""
-    runs = found.runs
-    run, slot = (v[places.place_of_sample] for v in (runs.run_of_place, runs.slot_of_place))
-    reach = found.reach[places.place_of_sample]
-    row_of_run = np.full(len(runs.lengths), STRAY)
-    by_run = np.argsort(run, kind="stable")
-    borders = np.searchsorted(run[by_run], np.arange(len(runs.lengths) + 1))
-    rows: list[Row] = []
-    for number, (count, closed) in enumerate(zip(runs.lengths, runs.closed, strict=True)):
-        mine = by_run[borders[number] : borders[number + 1]]
-        if found.ordered[number] and len(mine) >= _LEAST_POINTS:
-            row_of_run[number] = len(rows)
-            rows.append(
-                thin(places.sample[mine], slot[mine], reach[mine], int(count), closed=closed)
-            )
-        elif len(mine) >= _HEAP:
-            row_of_run[number] = UNORDERED
-    return rows, row_of_run
+    places: Places, joined: list[Joined], strands: list[Strand], chain_of_place: IntArray
+) -> tuple[list[Strand], IntArray]:
+    """Strands that are no heaps; of each place the number of its strand among them."""
+    found = chain_of_place.copy()
+    kept: list[Strand] = []
+    for number in range(len(joined)):
+        mine = np.flatnonzero(chain_of_place == number)
+        of_it = [strand for strand in strands if strand.chain == number]
+        nearest = nearest_row(places.at[mine], [strand.row for strand in of_it])
+        for position, strand in enumerate(of_it):
+            heap = _is_heap(strand.row)
+            found[mine[nearest == position]] = UNORDERED if heap else len(kept)
+            kept += [] if heap else [strand]
+    return kept, found
 
 
 def _is_heap(row: Row) -> bool:
@@ -144,11 +147,11 @@ def _is_heap(row: Row) -> bool:
     return row.length < _STOUT * band
 
 
-def _concluded(places: Places, kept: list[Joined], chain_of_point: Int32Array) -> Topology:
-    depths = _depths([joined.row for joined in kept])
+def _concluded(places: Places, kept: list[Strand], chain_of_point: Int32Array) -> Topology:
+    depths = _depths([strand.row for strand in kept])
     chains = tuple(
-        _chain(places, joined, clockwise=depth % 2 == 1)
-        for joined, depth in zip(kept, depths, strict=True)
+        _chain(places, strand, clockwise=depth % 2 == 1)
+        for strand, depth in zip(kept, depths, strict=True)
     )
     held = int((chain_of_point >= 0).sum())
     sigma = np.concatenate([chain.sigma_mm for chain in chains]) if chains else np.zeros(1)
@@ -157,13 +160,13 @@ def _concluded(places: Places, kept: list[Joined], chain_of_point: Int32Array) -
     return Topology(chains, tuple(depths), chain_of_point, float(np.median(sigma)), spacing)
 
 
-def _chain(places: Places, joined: Joined, *, clockwise: bool) -> Chain:
-    row, gaps = joined.row, joined.row.gaps
+def _chain(places: Places, strand: Strand, *, clockwise: bool) -> Chain:
+    row, gaps = strand.row, strand.row.gaps
     nodes, sigma = row.nodes * places.unit_mm + places.origin_mm, row.sigma * places.unit_mm
     if row.closed and (_area(row.nodes) < 0.0) != clockwise:
         nodes, sigma = nodes[::-1], sigma[::-1]
         gaps = tuple(sorted((len(nodes) - 2 - gap) % len(nodes) for gap in gaps))
-    return Chain(nodes, sigma, row.closed, gaps, joined.ambiguous)
+    return Chain(nodes, sigma, row.closed, gaps, strand.ambiguous)
 
 
 def _area(nodes: FloatArray) -> float:

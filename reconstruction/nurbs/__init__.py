@@ -25,6 +25,7 @@ from reconstruction.nurbs.algebra import (
 from reconstruction.nurbs.basis import basis_derivatives, basis_functions, find_spans
 from reconstruction.nurbs.bundle import Along, swapped
 from reconstruction.nurbs.evaluation import curve_derivatives, evaluate_curve, wrapped
+from reconstruction.nurbs.grid_lines import grid_lines
 from reconstruction.nurbs.interpolation import (
     averaged_knots,
     chord_parameters,
@@ -32,6 +33,7 @@ from reconstruction.nurbs.interpolation import (
     interpolate_periodic,
     loft_sections,
 )
+from reconstruction.nurbs.layout import Border
 from reconstruction.nurbs.shapes import circle, clamped_uniform, periodic_uniform
 from reconstruction.nurbs.surface_evaluation import (
     evaluate_surface,
@@ -43,12 +45,15 @@ from reconstruction.nurbs.surface_evaluation import (
     surface_normals,
     surface_normals_at,
 )
+from reconstruction.nurbs.tessellation import Tessellation, tessellate
 from reconstruction.nurbs.values import Curve, Surface
 
 __all__ = [
     "Along",
+    "Border",
     "Curve",
     "Surface",
+    "Tessellation",
     "averaged_knots",
     "basis_derivatives",
     "basis_functions",
@@ -64,6 +69,7 @@ __all__ = [
     "evaluate_surface",
     "evaluate_surface_at",
     "find_spans",
+    "grid_lines",
     "insert_knot",
     "insert_knot_along",
     "interpolate_open",
@@ -87,5 +93,6 @@ __all__ = [
     "surface_normals",
     "surface_normals_at",
     "swapped",
+    "tessellate",
     "wrapped",
 ]

@@ -177,6 +177,12 @@ def edited(pattern: str, instead: str) -> str:
             'address = "192.0.2.7:502"',
             "profiler.address: '192.0.2.7:502' is no address; begin it with",
         ),
+        (
+            '^address = "tcp://192.0.2.7:502"',
+            'address = "tcp://192.0.2.7:99999"',
+            "profiler.address: address 'tcp://192.0.2.7:99999': Port out of range 0-65535;"
+            " expected tcp://host:port",
+        ),
         (r"^\[kinematics\]", "[kinematic]", "kinematic: unknown key; did you mean kinematics?"),
         ("^name", "[nonsense]\nname", "nonsense: unknown key"),
         (r"^\[table\]", "[table", "not valid TOML"),

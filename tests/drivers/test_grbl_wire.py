@@ -88,6 +88,10 @@ GOLDEN: list[tuple[str, Message]] = [
             accessories="SFM",
         ),
     ),
+    (  # ran: grbl-sim, whose inputs read as all triggered
+        "<Idle|MPos:0.000,0.000,0.000|FS:0,0|Pn:PXYZRHS>",
+        Status(State.IDLE, machine=(0.0, 0.0, 0.0), feed=0.0, spindle=0.0, pins="PXYZRHS"),
+    ),
     (  # interface.md, WPos and the F: form of a build without spindle
         "<Idle|WPos:-2.500,0.000,11.000|F:500>",
         Status(State.IDLE, work=(-2.5, 0.0, 11.0), feed=500.0),

@@ -51,7 +51,7 @@ from tests.loftscan.made_scans import (
 )
 
 OF_THE_RUN = {"seconds", "seconds_by_stage", "peak_memory_mb", "peak_memory_children_mb"}
-LAGS = {"lag_median_s", "lag_max_s", "lag_slices"}
+LAGS = {"lag_median_s", "lag_max_s", "lag_slices", "slice_period_median_s"}
 DOWN = replace(KINEMATICS, stage_sense=Lifting.DOWN, height_mm=49.5)
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGE = REPOSITORY / "docs/scan-folder.md"
@@ -221,7 +221,9 @@ def _without_the_run(folder: Path, result: Result) -> dict[str, bytes]:
         )
     numbers = json.loads(files["metrics.json"])
     kept = {name: value for name, value in numbers.items() if name not in OF_THE_RUN | LAGS}
-    report = re.sub(rb"<tr><th[^>]*>(seconds|peak|lag)[^\n]*", b"", files["report.html"])
+    report = re.sub(
+        rb"<tr><th[^>]*>(seconds|peak|lag|slice period)[^\n]*", b"", files["report.html"]
+    )
     return {**files, "metrics.json": json.dumps(kept).encode(), "report.html": report}
 
 
@@ -695,6 +697,7 @@ def test_the_lag_is_from_the_files_own_time_to_its_section(path: Path) -> None:
     assert told["lag_slices"] == SLICES - 1
     assert told["lag_median_s"] == pytest.approx(0.5, abs=1e-5)
     assert told["lag_max_s"] == pytest.approx(0.9, abs=1e-5)
+    assert told["slice_period_median_s"] == pytest.approx(0.1, abs=1e-5)
 
 
 def test_a_replay_has_no_lag(result: Result) -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from reconstruction.arrays import FloatArray
 from reconstruction.fitting.curve import Exact
+from reconstruction.fitting.scatter import _drift, _medians
 from reconstruction.fitting.section_fit import fit_chain, free_fit
 from tests.reconstruction.fit_cases import chain_of, circle, noisy, superformula
 
@@ -59,3 +60,34 @@ def test_noise_that_grows_with_the_spacing_is_weighted_by_it() -> None:
     fit, _, _ = free_fit(points, chain_of(points, share, 0.5))
     slope = np.polyfit(np.log(spacing), np.log(fit.noise.relative[np.argsort(fit.t)]), 1)[0]
     assert 1.2 < slope < 2.6  # the truth is 2
+
+
+def test_medians_by_group_are_those_of_each_group_by_itself() -> None:
+    rng = np.random.default_rng(6)
+    values, at = rng.random(300), rng.integers(0, 7, 300)
+    at[at == 4] = 5  # a group of none
+    weights = rng.integers(1, 5, 300).astype(float)
+    found = _medians(values, weights, at, 7)
+    for group in range(7):
+        mine = np.repeat(values[at == group], weights[at == group].astype(int))
+        if not len(mine):
+            assert found[group] == 0.0
+            continue
+        low, high = np.quantile(mine, 0.5, method="inverted_cdf"), np.quantile(mine, 0.5)
+        assert min(low, high) - 1e-12 <= found[group] <= max(low, high) + 1e-12
+
+
+def test_a_rounded_corner_does_not_make_its_stretch_look_noisy() -> None:
+    """A few points far off in one stretch of twelve: its mean square is five times as high."""
+    rng = np.random.default_rng(7)
+    share = np.sort(rng.random(720))
+    squares = rng.normal(size=720) ** 2
+    squares[(share > 0.5) & (share < 0.505)] = 60.0
+    relative = _drift(squares, np.ones(720), share, closed=True)
+    assert relative.max() / relative.min() < 1.5
+    squares[(share > 0.5) & (share < 0.7)] *= 9.0
+    relative = _drift(squares, np.ones(720), share, closed=True)
+    inside = (share > 0.54) & (share < 0.66)
+    assert np.median(relative[inside]) / np.median(relative[share < 0.4]) == pytest.approx(
+        9, rel=0.4
+    )

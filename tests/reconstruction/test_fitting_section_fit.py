@@ -80,6 +80,35 @@ def test_covariance_lies_across_the_curve() -> None:
     np.testing.assert_allclose(np.trace(covariance, axis1=1, axis2=2), across)
 
 
+def test_one_parameter_gives_one_value_and_several_an_array() -> None:
+    points, share = noisy(superformula(), 1000, 0.5, 8)
+    curve = fitted(points, chain_of(points, share, 0.5))
+    for name, shape in (
+        ("deviation_mm", ()), ("normals", (2,)), ("covariance", (2, 2)), ("curvature", ())
+    ):  # fmt: skip
+        one, three = getattr(curve, name)(0.3), getattr(curve, name)([0.1, 0.3, 0.5])
+        assert np.shape(one) == shape
+        assert three.shape == (3, *shape)
+        np.testing.assert_array_equal(three[1], one)
+    assert curve(0.3).shape == (2,)
+
+
+def test_curvature_is_that_of_the_ellipse_and_positive_to_the_left() -> None:
+    points, share = noisy(ellipse(), 2000, 0.2, 9)
+    curve = fit_chain(points, chain_of(points, share, 0.2))
+    x, y = curve(EVEN).T
+    wanted = 60 * 30 / ((30 * x / 60) ** 2 + (60 * y / 30) ** 2) ** 1.5
+    np.testing.assert_allclose(curve.curvature(EVEN), wanted, rtol=0.02)
+
+
+def test_a_curve_introduces_itself_in_a_line() -> None:
+    points, share = noisy(superformula(), 2000, 0.5, 7, gap=(0.40, 0.46))
+    words = repr(fitted(points, chain_of(points, share, 0.5)))
+    assert words.startswith("<FittedCurve: free, closed, ")
+    assert words.endswith("1 gap>")
+    assert len(words) < 120
+
+
 def test_many_points_gathered_into_cells_fit_like_the_points_themselves(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -125,6 +154,20 @@ def test_an_open_run_ends_where_its_points_end() -> None:
         ends.append([curve(0.0)[0], curve(1.0)[0] - 100])
     assert np.abs(np.mean(ends, axis=0)).max() < 0.4
     assert np.abs(ends).max() < 1.2
+
+
+@pytest.mark.parametrize("closed", [True, False], ids=["closed", "open"])
+def test_a_node_that_stands_far_out_of_its_chain_draws_no_loop(
+    closed: bool,  # noqa: FBT001
+) -> None:
+    outline = superformula() if closed else wave()
+    points, share = noisy(outline, 1000, 0.3, 16)
+    chain = chain_of(points, share, 0.3, closed=closed)
+    nodes = chain.nodes_mm.copy()
+    nodes[30] += [12.0, 9.0]
+    spiked = Chain(nodes, chain.sigma_mm, closed)
+    places = fitted(points, spiked)(EVEN)
+    np.testing.assert_array_less(distances_to(places[5:-5], outline), 0.4)
 
 
 def test_heights_are_kept_as_moments_not_flattened() -> None:

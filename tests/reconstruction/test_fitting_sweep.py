@@ -31,7 +31,7 @@ def swept(
     band, right = np.zeros((len(control), 4)), np.zeros((len(control), 1))
     distances, _, weights = sweep(
         control, control_normals(control, closed=True), t,
-        np.ones(m) if counts is None else counts, places,
+        np.ones(m) if counts is None else counts, np.ones(m) if counts is None else counts, places,
         np.zeros((m, 3)) if covariances is None else covariances,
         np.full(m, variance), band, right, closed=True, rounds=6,
     )  # fmt: skip

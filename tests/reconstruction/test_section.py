@@ -12,6 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from numba.core.caching import FunctionCache
+from numba.core.registry import CPUDispatcher
 
 from loftscan.inputs import Unit, open_input
 from reconstruction.arrays import FloatArray
@@ -23,25 +25,35 @@ from reconstruction.fitting.section import fit_section, resolve_section
 from reconstruction.slicing import cut_cloud
 from reconstruction.survey import Axis
 from tests.reconstruction.topology_cases import (
+    Outline,
     arc,
-    cloud,
     corner,
     ellipse,
-    signed_area,
+    scene,
     superformula,
-    with_outliers,
 )
 
 BAND_MM = 0.5
 
 
-def annulus(rng: np.random.Generator, *, wall_mm: float = 12.0) -> FloatArray:
-    sides = [cloud(ellipse(r, r), rng, per_mm=8.0, band_mm=BAND_MM) for r in (40.0, 40.0 - wall_mm)]
-    return rng.permutation(np.vstack(sides))
+def cloud(outlines: Outline | list[Outline], rng: np.random.Generator, *, per_mm: float = 8.0,
+          band_mm: float = BAND_MM, outliers: float = 0.0) -> FloatArray:  # fmt: skip
+    return scene(outlines, rng, per_mm=per_mm, band_mm=band_mm, outliers=outliers).points_mm
+
+
+def moved(outline: Outline, *by_mm: float) -> Outline:
+    return Outline(outline.points_mm + np.array(by_mm), closed=outline.closed)
+
+
+def annulus(
+    rng: np.random.Generator, *, wall_mm: float = 12.0, outliers: float = 0.0
+) -> FloatArray:
+    return cloud([ellipse(r, r) for r in (40.0, 40.0 - wall_mm)], rng, outliers=outliers)
 
 
 def area(curve: FittedCurve) -> float:
-    return signed_area(curve(np.linspace(*curve.domain, 2000, endpoint=False)))
+    x, y = curve(np.linspace(*curve.domain, 2000, endpoint=False)).T
+    return float(0.5 * (x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
 
 
 @pytest.fixture
@@ -66,18 +78,12 @@ def test_loops_come_before_runs_and_the_larger_before_the_smaller(
     rng: np.random.Generator,
 ) -> None:
     pieces = [
-        cloud(corner() + np.array([100.0, 0.0]), rng, per_mm=8.0, band_mm=BAND_MM, closed=False),
-        cloud(ellipse(8.0, 8.0, (-60.0, 0.0)), rng, per_mm=8.0, band_mm=BAND_MM),
-        cloud(
-            arc(20.0, 120.0) + np.array([0.0, 150.0]),
-            rng,
-            per_mm=8.0,
-            band_mm=BAND_MM,
-            closed=False,
-        ),
-        cloud(ellipse(30.0, 20.0), rng, per_mm=8.0, band_mm=BAND_MM),
+        moved(corner(), 100.0, 0.0),
+        ellipse(8.0, 8.0, (-60.0, 0.0)),
+        moved(arc(20.0, 120.0), 0.0, 150.0),
+        ellipse(30.0, 20.0),
     ]
-    found = resolve_section(rng.permutation(np.vstack(pieces)))
+    found = resolve_section(cloud(pieces, rng))
     assert [curve.closed for curve in found.curves] == [True, True, False, False]
     assert found.depths == (0, 0, 0, 0)
     sizes = [abs(area(curve)) for curve in found.curves[:2]]
@@ -87,7 +93,7 @@ def test_loops_come_before_runs_and_the_larger_before_the_smaller(
 
 
 def test_every_point_is_accounted_for_once(rng: np.random.Generator) -> None:
-    points = with_outliers(annulus(rng), rng, 0.02)
+    points = annulus(rng, outliers=0.02)
     found = resolve_section(points)
     fitted = sum(curve.points_used + curve.outliers for curve in found.curves)
     assert fitted + len(found.strays) + len(found.unordered) == len(points)
@@ -101,6 +107,7 @@ def test_thickness_and_spacing_are_those_of_the_cloud(rng: np.random.Generator) 
     found = resolve_section(cloud(superformula(), rng, per_mm=10.0, band_mm=2.0))
     assert found.sigma_mm == pytest.approx(2.0 / math.sqrt(12.0), rel=0.15)
     assert found.width_mm == 4.0 * found.sigma_mm
+    assert found.band_mm == pytest.approx(2.0, rel=0.15)
     assert found.spacing_mm == pytest.approx(0.1, rel=0.05)
 
 
@@ -111,7 +118,7 @@ def test_a_chain_without_a_curve_does_not_cost_the_others(
     inner = np.flatnonzero(np.hypot(*points.T) < 34.0)
     real = section.fit_chain
 
-    def failing(points: FloatArray, chain: Chain, *, exact: Exact) -> FittedCurve:
+    def failing(points: FloatArray, chain: Chain, *, exact: Exact, heights_mm: None) -> FittedCurve:
         if np.hypot(*chain.nodes_mm.T).max() < 34.0:
             raise np.linalg.LinAlgError("singular")
         return real(points, chain, exact=exact)
@@ -126,7 +133,7 @@ def test_a_chain_without_a_curve_does_not_cost_the_others(
 def test_where_no_chain_has_a_curve_the_error_says_why(
     rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def failing(points: FloatArray, chain: Chain, *, exact: Exact) -> FittedCurve:
+    def failing(points: FloatArray, chain: Chain, *, exact: Exact, heights_mm: None) -> FittedCurve:
         raise TooFewPoints("the reason")
 
     monkeypatch.setattr(section, "fit_chain", failing)
@@ -139,7 +146,7 @@ def test_a_curve_that_is_not_finite_is_none(
 ) -> None:
     real = section.fit_chain
 
-    def lost(points: FloatArray, chain: Chain, *, exact: Exact) -> FittedCurve:
+    def lost(points: FloatArray, chain: Chain, *, exact: Exact, heights_mm: None) -> FittedCurve:
         curve = real(points, chain, exact=exact)
         broken = np.full_like(curve.curve.control_points_mm, np.nan)
         object.__setattr__(curve.curve, "control_points_mm", broken)
@@ -156,10 +163,10 @@ def test_a_curve_that_is_not_finite_is_none(
 def test_points_that_are_all_of_one_chain_are_not_copied(
     rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    points, given = cloud(ellipse(40.0, 30.0), rng, per_mm=40.0, band_mm=BAND_MM), []
+    points, given = cloud(ellipse(40.0, 30.0), rng, per_mm=40.0), []
     real = section.fit_chain
 
-    def noting(points: FloatArray, chain: Chain, *, exact: Exact) -> FittedCurve:
+    def noting(points: FloatArray, chain: Chain, *, exact: Exact, heights_mm: None) -> FittedCurve:
         given.append(points)
         return real(points, chain, exact=exact)
 
@@ -202,6 +209,13 @@ def test_another_shape_or_no_numbers_is_the_callers_mistake(points: object) -> N
         fit_section(points)
 
 
+def test_masked_rows_are_not_taken_for_points(rng: np.random.Generator) -> None:
+    points = annulus(rng)
+    with pytest.raises(ValueError, match="masked"):
+        fit_section(np.ma.masked_greater(points, 39.0))
+    assert len(fit_section(np.ma.masked_greater(points, 1e9))) == 2  # nothing is masked
+
+
 @pytest.mark.parametrize("points", [np.zeros((0, 2)), np.eye(2), np.ones((500, 2)), np.eye(2)[:1]])
 def test_too_few_places_are_named(points: FloatArray) -> None:
     with pytest.raises(TooFewPoints, match="a curve needs 4"):
@@ -216,11 +230,44 @@ def test_what_is_no_length_is_counted(rng: np.random.Generator, value: float) ->
         fit_section(points)
 
 
-def test_points_on_one_line_are_a_line() -> None:
-    x = np.random.default_rng(0).random(400)
-    (curve,) = fit_section(np.column_stack([100.0 * x, 30.0 * x]))
+@pytest.mark.parametrize("count", [400, 2000, 20_000])
+@pytest.mark.parametrize("way", [(100.0, 30.0), (100.0, 0.0), (0.0, 1.0)])
+def test_points_on_one_line_are_a_line(count: int, way: tuple[float, float]) -> None:
+    share = np.random.default_rng(0).random((count, 1))
+    (curve,) = fit_section(share * way)
     assert (curve.kind, curve.closed) == ("line", False)
-    np.testing.assert_allclose(curve([0.5])[0, 1] / curve([0.5])[0, 0], 0.3, rtol=1e-6)
+    size = math.hypot(*way)
+    ends = curve([0.0, 1.0]) / size
+    unit = np.array(way) / size
+    assert np.abs(ends[:, 0] * unit[1] - ends[:, 1] * unit[0]).max() < 1e-6
+    np.testing.assert_allclose(np.sort(ends @ unit), [0.0, 1.0], atol=0.03)
+    assert curve.points_used > 0.95 * count
+
+
+@pytest.mark.parametrize("count", [50, 3000, 20_000])
+@pytest.mark.parametrize(("a", "b", "kind"), [(50, 50, "circle"), (60, 30, "ellipse")])
+def test_a_ring_without_noise_is_exact(count: int, a: float, b: float, kind: str) -> None:
+    turn = np.random.default_rng(1).random(count) * math.tau
+    points = np.column_stack([a * np.cos(turn), b * np.sin(turn)])
+    (curve,) = fit_section(points)
+    assert curve.kind == kind
+    assert curve.sigma_mm < 1e-4
+    assert np.hypot(*(curve(np.linspace(0, 1, 200)) / [a, b]).T) == pytest.approx(1, abs=1e-5)
+
+
+@pytest.mark.parametrize("scale", [1e-25, 1e25])
+def test_any_unit_of_length_does(rng: np.random.Generator, scale: float) -> None:
+    points = cloud(ellipse(60.0, 30.0), rng, per_mm=5.0, band_mm=BAND_MM)
+    (curve,), (here,) = fit_section(points * scale), fit_section(points)
+    assert curve.kind == here.kind == "ellipse"
+    assert curve.sigma_mm == pytest.approx(here.sigma_mm * scale, rel=1e-3)
+
+
+@pytest.mark.parametrize("scale", [1e-60, 1e60])
+def test_lengths_beyond_all_measure_are_named(rng: np.random.Generator, scale: float) -> None:
+    points = cloud(ellipse(60.0, 30.0), rng, per_mm=5.0, band_mm=BAND_MM)
+    with pytest.raises((TooFewPoints, Unfittable), match=r"in one place|no finite lengths"):
+        fit_section(points * scale)
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
@@ -251,6 +298,18 @@ def test_every_slice_of_a_real_scan_goes_through(shared_data: Path) -> None:
         found = resolve_section(piece.frame.to_plane(piece.points_mm)[:, :2])
         assert found.curves
         assert not found.failures
+
+
+def test_every_kernel_of_the_fit_is_kept_on_disk_for_the_next_process() -> None:
+    kernels = {
+        f"{module.__name__}.{name}": value
+        for module in [sys.modules[name] for name in sys.modules if ".fitting." in name]
+        for name, value in vars(module).items()
+        if isinstance(value, CPUDispatcher)
+    }
+    assert len(kernels) > 30
+    for name, kernel in kernels.items():
+        assert isinstance(kernel._cache, FunctionCache), name
 
 
 _LARGE = """

@@ -13,13 +13,13 @@ from hypothesis.extra import numpy as arrays
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import TooFewPoints
 from reconstruction.fitting.topology import STRAY, UNORDERED, find_chains
-from tests.reconstruction.topology_cases import cloud, ellipse
+from tests.reconstruction.topology_cases import ellipse, scene
 
 
 def ring(count: int = 2000) -> FloatArray:
     rng = np.random.default_rng(0)
     outline = ellipse(50, 50)
-    return cloud(outline, rng, per_mm=count / (100 * math.pi), band_mm=1.0)
+    return scene(outline, rng, per_mm=count / (100 * math.pi), band_mm=1.0).points_mm
 
 
 @pytest.mark.parametrize("count", range(4))

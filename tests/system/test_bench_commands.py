@@ -19,6 +19,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from acquisition.plan import read_plan, ring, write_plan
@@ -36,6 +37,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 SLICES = 3
 SCALE = 40.0  # times as fast as a real station
 PATIENCE_S = 60.0  # for a machine that does a lot else
+TRIES = 3  # where that machine was too late with a signal
 
 
 @pytest.fixture(scope="module")
@@ -239,7 +241,7 @@ def test_home_and_jog_move_what_they_say_and_nothing_else(station: Simulated) ->
         (["--by", "--table-deg", 5], 4, "table: not homed; it jogs at most 1 deg;"
          " each run begins unhomed: add --home"),
         (["--stage-mm", 500, "--home"], 4, "stage: 500.000 mm is outside its soft limits 0.000 to"
-         " 158.000 mm; change the plan or the limits"),
+         " 158.000 mm; change the target or the limits"),
         (["--stage-mm", "nan", "--home"], 2, "stage: nan mm is no position"),
         ([], 2, "jog: where to? add --table-deg or --stage-mm"),
     ],
@@ -296,9 +298,10 @@ def test_a_profile_is_shown_counted_and_written(station: Simulated, place: Path)
 def test_a_profile_without_count_is_live_until_ctrl_c_which_is_its_good_end(
     station: Simulated,
 ) -> None:
+    before = len(witnessed(station, "laser"))
     child = start("profile", station, "--count", 0, "--json")
     until(child, '"event": "profile"')
-    assert witnessed(station, "laser")[-1]["on"]
+    assert any(event["on"] for event in witnessed(station, "laser")[before:])
     child.send_signal(signal.SIGINT)
     assert ended(child, 0) == ""
     assert_at_rest(station)
@@ -359,7 +362,7 @@ def test_a_scan_tells_how_far_it_is_and_imports_no_reconstruction(
 def test_a_folder_that_holds_something_is_refused_with_the_remedy(
     station: Simulated, place: Path, plan: str
 ) -> None:
-    shutil.copytree(_kept(station, plan), "part.scan")
+    keep_the_first_slice(station, plan)
     line = complaint(run("scan", station, plan, "--out", "part.scan"), 2)
     assert line == (
         "part.scan: holds a scan already, 1 of 3 slices (aborted); add --resume to take the rest,"
@@ -381,7 +384,7 @@ def test_a_folder_that_holds_something_is_refused_with_the_remedy(
 def test_a_resume_with_another_plan_or_another_mounting_is_refused(
     station: Simulated, place: Path, plan: str
 ) -> None:
-    shutil.copytree(_kept(station, plan), "part.scan")
+    keep_the_first_slice(station, plan)
     Path("other.toml").write_text(write_plan(ring(10.0, 14.0, 1.0, 3)))
     line = complaint(run("scan", station, "other.toml", "--out", "part.scan", "--resume"), 2)
     assert line.startswith("part.scan: was begun with another plan: ring.step_mm was 2.0, is 1.0")
@@ -392,7 +395,8 @@ def test_a_resume_with_another_plan_or_another_mounting_is_refused(
     slower = changed(station, r"speed_mm_s = \S+", "speed_mm_s = 19.0")
     succeeded(run("scan", slower, plan, "--out", "part.scan", "--resume"))
     assert ScanFolder.open(Path("part.scan")).record().state is State.COMPLETE
-    succeeded(run("scan", slower, plan, "--out", "part.scan", "--resume"))
+    ran = succeeded(run("scan", slower, plan, "--out", "part.scan", "--resume"))
+    assert ran.stdout.splitlines()[0] == "part.scan: all 3 slices are kept already"
 
 
 def test_a_disk_that_is_too_small_is_refused_before_anything_is_opened(
@@ -433,6 +437,23 @@ def test_what_is_no_station_or_no_plan_is_refused_by_every_command(
     assert not Path("o").exists()
 
 
+def test_files_in_each_others_place_are_told_apart(
+    station: Simulated, place: Path, plan: str
+) -> None:
+    for words in (["scan", plan, station, "--out", "o"], ["home", plan]):
+        line = complaint(run(*words), 2)
+        assert line == "plan.toml: is a plan; name the station's file in its place"
+    line = complaint(run("scan", station, station, "--out", "o"), 2)
+    assert line == f"{station}: is a station; name the plan's file in its place"
+
+
+def test_where_the_table_stands_is_asked_of_a_resume_only(
+    station: Simulated, place: Path, plan: str
+) -> None:
+    ran = run("scan", station, plan, "--out", "o", "--at-zero")
+    assert complaint(ran, 2) == "--at-zero: says where a resumed scan stands; add --resume"
+
+
 def test_a_plan_beyond_the_soft_limits_is_refused_before_anything_is_opened(
     station: Simulated, place: Path
 ) -> None:
@@ -459,21 +480,43 @@ def test_the_wire_log_of_each_link_replays(station: Simulated, place: Path, plan
     assert "there is no folder no; make it first" in line
 
 
-_KEPT: dict[str, Path] = {}
+# When it was measured; the number of a frame, too, which a free-running sensor counts.
+TIMES = {"time_s", "sensor_time_s", "frame"}
 
 
-def _kept(station: Simulated, plan: str) -> Path:
-    """A scan that was paused after its first slice; made once."""
-    if "part" not in _KEPT:
-        out = station.station.parent / "kept.scan"
-        child = start("scan", station, plan, "--out", out, "--json")
-        until(child, '"event": "laser"')
-        # The first slice takes seconds: it is under way when this arrives, or homing is.
-        _after_the_first_exposure(station, len(witnessed(station, "laser")))
-        child.send_signal(signal.SIGINT)
-        ended(child, 3)
-        _KEPT["part"] = out
-    return _KEPT["part"]
+def without_times_and_places(record: object) -> object:
+    """A scan.json without when it was made and at which ports."""
+    if not isinstance(record, dict):
+        return None if "://" in str(record) else record
+    return {key: without_times_and_places(record[key]) for key in record if key != "created"}
+
+
+def test_the_same_scan_with_the_same_seed_is_the_same_folder_but_for_times(
+    station: Simulated, place: Path, plan: str
+) -> None:
+    succeeded(run("scan", station, plan, "--out", "one.scan"))
+    with simulate(seed=3, scale=SCALE / 2) as again:
+        succeeded(run("scan", again, plan, "--out", "other.scan"))
+    one, other = Path("one.scan"), Path("other.scan")
+    records = [json.loads((each / "scan.json").read_text()) for each in (one, other)]
+    assert without_times_and_places(records[0]) == without_times_and_places(records[1])
+    slices = [sorted(each.glob("slices/*")) for each in (one, other)]
+    assert [file.name for file in slices[0]] == [file.name for file in slices[1]]
+    assert len(slices[0]) == SLICES
+    for files in zip(*slices, strict=True):
+        left, right = map(np.load, files)
+        assert left.files == right.files
+        differing = {name for name in left.files if not np.array_equal(left[name], right[name])}
+        assert differing <= TIMES
+
+
+def keep_the_first_slice(station: Simulated, plan: str) -> None:
+    """Make part.scan, as a scan leaves it that ended after its first slice."""
+    succeeded(run("scan", station, plan, "--out", "part.scan"))
+    with ScanFolder.open(Path("part.scan")).resume() as writer:
+        for index in (1, 2):
+            writer.folder.file(index).unlink()
+        writer.finish(State.ABORTED)
 
 
 def _after_the_first_exposure(station: Simulated, before: int) -> None:
@@ -490,16 +533,18 @@ def test_ctrl_c_pauses_after_the_slice_and_a_resume_takes_the_rest(
     _after_the_first_exposure(station, len(witnessed(station, "laser")))
     child.send_signal(signal.SIGINT)
     line = ended(child, 3)
-    assert line == (
-        "paused: 1 of 3 slices are kept, the laser is off, the axes stand; go on with: "
-        f"loftscan scan {station} plan.toml --out part.scan --resume"
-    )
     assert_at_rest(station)
     folder = ScanFolder.open(Path("part.scan"))
+    kept = len(folder.indices())
+    assert kept in (1, 2)  # one, unless this machine was late with the signal
+    assert line == (
+        f"paused: {kept} of 3 slices are kept, the laser is off, the axes stand; go on with: "
+        f"loftscan scan {station} plan.toml --out part.scan --resume"
+    )
     assert folder.record().state is State.ABORTED
     first = folder.read(0)
     ran = succeeded(run("scan", station, plan, "--out", "part.scan", "--resume"))
-    assert "2 slices, 1 are kept already, 6 profiles" in ran.stdout
+    assert f"{3 - kept} slices, {kept} are kept already, {9 - 3 * kept} profiles" in ran.stdout
     assert folder.record().state is State.COMPLETE
     assert folder.verify().sound == (0, 1, 2)
     assert_same_sweep(folder.read(0), first)
@@ -515,9 +560,11 @@ def test_ctrl_c_pauses_after_the_slice_and_a_resume_takes_the_rest(
     ],
 )
 def test_a_scan_that_is_stopped_now_leaves_everything_off_and_what_it_kept(
-    station: Simulated, place: Path, plan: str, signals: list[signal.Signals]
+    station: Simulated, place: Path, signals: list[signal.Signals]
 ) -> None:
-    child = start("scan", station, plan, "--out", "part.scan", "--json")
+    # More rings than it can take before it is stopped.
+    Path("long.toml").write_text(write_plan(ring(10.0, 50.0, 2.0, 3)))
+    child = start("scan", station, "long.toml", "--out", "part.scan", "--json")
     until(child, '"event": "slice"')
     before = len(witnessed(station, "laser"))
     _after_the_first_exposure(station, before)
@@ -537,25 +584,18 @@ def test_a_scan_that_is_stopped_now_leaves_everything_off_and_what_it_kept(
 def test_a_signal_while_the_devices_are_opened_ends_it_before_anything_moves(
     station: Simulated, place: Path, plan: str
 ) -> None:
-    moved = len(witnessed(station, "move"))
-    child = start("scan", station, plan, "--out", "part.scan", "--json")
-    until(child, '"event": "estimate"')
-    child.send_signal(signal.SIGTERM)
-    assert ended(child, 3) == "stopped before anything moved; nothing was written"
-    assert len(witnessed(station, "move")) == moved
-    assert not Path("part.scan").exists()
-
-
-def test_a_damaged_slice_is_set_aside_and_taken_again(
-    station: Simulated, place: Path, plan: str
-) -> None:
-    shutil.copytree(_kept(station, plan), "part.scan")
-    file = Path("part.scan/slices/000000.npz")
-    file.write_bytes(file.read_bytes()[:-100])
-    ran = succeeded(run("scan", station, plan, "--out", "part.scan", "--resume"))
-    assert "000000.npz.damaged: set aside" in ran.stdout
-    assert ScanFolder.open(Path("part.scan")).verify().sound == (0, 1, 2)
-    assert Path("part.scan/slices/000000.npz.damaged").is_file()
+    for attempt in range(TRIES):
+        moved = len(witnessed(station, "move"))
+        out = Path(f"{attempt}.scan")
+        child = start("scan", station, plan, "--out", out, "--json")
+        until(child, '"event": "estimate"')
+        child.send_signal(signal.SIGTERM)
+        line = ended(child, 3)
+        if len(witnessed(station, "move")) == moved:
+            assert line == "stopped before anything moved; nothing was written"
+            assert not out.exists()
+            return
+    pytest.fail("this machine was late with the signal each time")
 
 
 def test_a_disk_that_fills_up_ends_the_scan_with_what_is_kept(
@@ -583,36 +623,10 @@ def test_a_disk_that_fills_up_ends_the_scan_with_what_is_kept(
 
 
 # -- planted faults ------------------------------------------------------------------------------
+# What a scan says of them is in test_faults.py.
 
 
-def test_a_profiler_that_sends_nothing_is_told_with_what_to_check(place: Path, plan: str) -> None:
-    with simulate(seed=3, scale=SCALE, faults="no-profiles") as station:
-        ran = run("scan", station, plan, "--out", "part.scan")
-        assert ran.exit_code == 4
-        assert "profiler: nothing at 3 stops in a row" in ran.stderr
-        assert "is the laser on, the trigger running" in ran.stderr
-        assert "0 of 3 slices are kept, go on with: loftscan scan" in ran.stderr
-        assert ran.stderr.count("\n") == 1
-        assert_at_rest(station)
-        line = complaint(run("profile", station, "--json"), 4)
-        assert "no profile in" in line
-        assert not witnessed(station, "laser")[-1]["on"]
-
-
-def test_a_stage_that_stalls_in_mid_scan_is_told_and_nothing_kept_is_lost(
-    place: Path, plan: str
-) -> None:
-    with simulate(seed=3, scale=SCALE, faults="stall-stage=11") as station:
-        ran = run("scan", station, plan, "--out", "part.scan")
-        assert ran.exit_code == 4
-        assert ran.stderr.count("\n") == 1
-        assert ran.stderr.startswith("loftscan: stage: alarm 0x180 following error; remove")
-        assert "1 of 3 slices are kept, go on with: loftscan scan" in ran.stderr
-        assert_at_rest(station)
-    assert ScanFolder.open(Path("part.scan")).verify().sound == (0,)
-
-
-def test_a_silent_stage_is_told_and_the_rest_still_stopped(place: Path, plan: str) -> None:
+def test_a_silent_stage_is_told_and_the_rest_still_stopped(place: Path) -> None:
     with simulate(seed=3, scale=SCALE, faults="silent-stage") as station:
         ran = run("devices", station, "--json")
         found = {str(each["role"]): each for each in told(ran.stdout)}
@@ -620,11 +634,6 @@ def test_a_silent_stage_is_told_and_the_rest_still_stopped(place: Path, plan: st
         assert [role for role, each in found.items() if not each["ok"]] == ["stage"]
         silence = "no answer in 0.2 s; is it powered, its id and the line's speed right?"
         assert silence in str(found["stage"]["trouble"])
-        ran = run("scan", station, plan, "--out", "part.scan")
-        assert ran.exit_code == 4
-        assert silence in ran.stderr
-        assert ran.stderr.count("\n") == 1
-        assert not Path("part.scan").exists()
         ran = run("stop", station)
         assert ran.exit_code == 4
         assert "laser: off, read back" in ran.stdout
@@ -783,3 +792,4 @@ def test_help_imports_nothing_that_takes_time() -> None:
     assert not imported & heavy
     for name in ("init", "devices", "home", "jog", "stop", "profile", "scan", "sim"):
         assert f"\n  {name} " in child.stdout
+    assert "..." not in child.stdout.partition("Commands:")[2]  # a line that is cut says nothing

@@ -32,7 +32,7 @@ def laser_is_on(station: Simulated) -> bool:
 
 def test_scan_once_scans_and_ctrl_c_ends_it_as_python_users_expect(place: Path) -> None:
     Path("plan.toml").write_text(write_plan(ring(10.0, 14.0, 2.0, 3)))
-    with simulate(scale=10.0) as station:
+    with simulate(scale=40.0) as station:
         child = started("scan_once.py", station, "plan.toml", "whole.scan")
         stdout, stderr = child.communicate(timeout=PATIENCE_S)
         assert (child.returncode, stderr) == (0, "")

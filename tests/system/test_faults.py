@@ -192,9 +192,12 @@ def changed(station: Simulated, old: str, new: str) -> str:
 
 
 @contextmanager
-def scanning(station: Simulated, out: str, rings: int) -> Iterator[subprocess.Popen[str]]:
-    """A scan in a process of its own, when its first slice is told to be kept."""
-    write_rings(Path("long.toml"), rings)
+def scanning(station: Simulated, out: str) -> Iterator[subprocess.Popen[str]]:
+    """A scan in a process of its own, when its first slice is told to be kept.
+
+    It has more rings than it can take before a machine that does a lot else has planted a fault.
+    """
+    write_rings(Path("long.toml"), 20)
     child = start("scan", station, "long.toml", "--out", out, "--json")
     try:
         assert child.stdout is not None
@@ -325,7 +328,7 @@ def test_a_stage_that_stalls(place: Path, plan: str) -> None:
 
 
 def test_a_simulator_that_is_killed_amid_a_scan(place: Path) -> None:
-    with simulate(seed=SEED, scale=SCALE) as station, scanning(station, "part.scan", 6) as child:
+    with simulate(seed=SEED, scale=SCALE) as station, scanning(station, "part.scan") as child:
         os.kill(station.pid, signal.SIGKILL)
         end = end_of(child)
     # Who notices first is who was spoken to.
@@ -384,7 +387,7 @@ def test_a_folder_that_holds_a_scan(station: Simulated, place: Path, plan: str, 
 
 
 def test_a_limit_on_file_sizes_amid_a_scan(station: Simulated, place: Path) -> None:
-    with scanning(station, "part.scan", 6) as child:
+    with scanning(station, "part.scan") as child:
         # Above what scan.json needs, below what a slice does.
         resource.prlimit(child.pid, resource.RLIMIT_FSIZE, (8000, resource.RLIM_INFINITY))
         end = end_of(child)
@@ -411,7 +414,7 @@ def fill(file: Path) -> None:
 
 
 def test_a_disk_that_is_full_amid_a_scan(station: Simulated, small_disk: Path) -> None:
-    with scanning(station, "disk/part.scan", 6) as child:
+    with scanning(station, "disk/part.scan") as child:
         fill(small_disk / "other")
         end = end_of(child)
     assert_told(end.line, end.code, "The disk is full")
@@ -478,7 +481,7 @@ def test_points_that_the_network_lost_are_said_by_a_reconstruction(
 def test_an_operator_who_has_enough(
     station: Simulated, place: Path, signals: list[signal.Signals], title: str
 ) -> None:
-    with scanning(station, "part.scan", 6) as child:
+    with scanning(station, "part.scan") as child:
         for number in signals:
             child.send_signal(number)
         end = end_of(child)

@@ -121,6 +121,17 @@ def test_an_ellipse_says_its_half_axes(place: Path) -> None:
     assert "ellipse, closed, half axes " in succeeded(run("section", "oval.npy")).stdout
 
 
+def test_a_curve_that_crosses_itself_says_so(place: Path) -> None:
+    turn = np.random.default_rng(7).uniform(0.0, math.tau, 3000)
+    eight = 30.0 * np.column_stack([np.sin(turn), np.sin(2.0 * turn)])
+    np.save("eight.npy", eight + np.random.default_rng(8).normal(0.0, 0.1, eight.shape))
+    curve, _ = told("section", "eight.npy")
+    assert curve["crosses_itself"]
+    assert "free, closed, crosses itself, " in succeeded(run("section", "eight.npy")).stdout
+    np.save("ring.npy", rings(20.0))
+    assert not told("section", "ring.npy")[0]["crosses_itself"]
+
+
 def test_never_exact_is_a_free_curve(place: Path, ring: Path) -> None:
     (free, _) = told("section", ring, "--exact", "never")
     assert free["kind"] == "free"
@@ -250,7 +261,7 @@ def test_options_that_cannot_be_meant_are_refused(place: Path, ring: Path) -> No
 
 
 def test_the_verb_names_what_is_wrong() -> None:
-    with pytest.raises(ValueError, match="'always' is not a valid Exact"):
+    with pytest.raises(ValueError, match="exact 'always': 'auto' or 'never' expected"):
         loftscan.fit_section(rings(20.0), exact="always")  # type: ignore[arg-type] # on purpose
     with pytest.raises(TooFewPoints):
         loftscan.fit_section(np.eye(2))

@@ -1,0 +1,1 @@
+"""The tables of `benchmarks/sections.py`, a module each."""

@@ -1,0 +1,123 @@
+"""A net of control points under way to a surface: uniform bicubic, clamped or closed.
+
+Knots are the integers in both directions; u runs around the outlines, v from outline to outline. An
+open direction is clamped, so that a surface ends on its last row of control points. A row may be an
+*apex*: all its control points are one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+
+from reconstruction.arrays import BoolArray, FloatArray, IntArray, frozen
+from reconstruction.nurbs import Surface, basis_derivatives
+
+_EMPTY = 1e-300
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Net:
+    """Control points (nu, nv, 3)."""
+
+    control_mm: FloatArray  # (nu, nv, 3)
+    knots_u: FloatArray  # as `reconstruction.nurbs` stores them
+    knots_v: FloatArray
+    closed_u: bool
+    closed_v: bool
+    apex: BoolArray  # (nv,), rows that are one point
+
+    def __post_init__(self) -> None:
+        for name in ("control_mm", "knots_u", "knots_v"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        object.__setattr__(self, "apex", frozen(self.apex, np.bool_))
+
+    @property
+    def spans(self) -> tuple[float, float]:
+        """Ends of the domain, which begins at 0."""
+        return (
+            float(self.knots_u[len(self.knots_u) - 4]),
+            float(self.knots_v[len(self.knots_v) - 4]),
+        )
+
+    def moved(self, control_mm: FloatArray) -> Net:
+        """The same net with other control points."""
+        return replace(self, control_mm=control_mm)
+
+    def surface(self) -> Surface:
+        """As a NURBS surface of weights one."""
+        return Surface(
+            3, 3, self.knots_u, self.knots_v, self.control_mm,
+            np.ones(self.control_mm.shape[:2]), self.closed_u, self.closed_v,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Basis:
+    """The four basis functions that live at each of m parameters, and their derivatives."""
+
+    first: IntArray  # (m,), control point of the first of them
+    values: FloatArray  # (m, order + 1, 4)
+
+
+def knots_of(spans: int, *, closed: bool) -> FloatArray:
+    """Integer knots of a cubic on [0, spans]: clamped, or repeating."""
+    knots = np.arange(-3.0, spans + 4.0)
+    return knots if closed else np.clip(knots, 0.0, spans)
+
+
+def basis_at(t: FloatArray, knots: FloatArray, order: int, *, closed: bool) -> Basis:
+    """Basis functions at parameters (m,) inside the domain."""
+    spans, values = basis_derivatives(t, 3, knots, order, periodic=closed)
+    return Basis(spans - 3, np.ascontiguousarray(np.moveaxis(values, 0, 1)))
+
+
+def greville(knots: FloatArray, count: int) -> FloatArray:
+    """Where each of `count` control points has most influence, (count,)."""
+    return np.asarray((knots[1 : count + 1] + knots[2 : count + 2] + knots[3 : count + 3]) / 3.0)
+
+
+def derivatives_at(net: Net, u: FloatArray, v: FloatArray) -> FloatArray:
+    """Points and derivatives S, Su, Sv, Suu, Suv, Svv at (m,), (m,); (m, 6, 3)."""
+    at_u = basis_at(u, net.knots_u, 2, closed=net.closed_u)
+    at_v = basis_at(v, net.knots_v, 2, closed=net.closed_v)
+    return np.asarray(
+        _derivatives(net.control_mm, at_u.first, at_u.values, at_v.first, at_v.values)
+    )
+
+
+def unit_normals(first_u: FloatArray, first_v: FloatArray) -> FloatArray:
+    """Su x Sv over its length, (m, 3); zero where there is none."""
+    cross = np.cross(first_u, first_v)
+    lengths = np.linalg.norm(cross, axis=-1, keepdims=True)
+    return np.asarray(cross / np.maximum(lengths, _EMPTY))
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _derivatives(
+    control: FloatArray, first_u: IntArray, bases_u: FloatArray, first_v: IntArray,
+    bases_v: FloatArray,
+) -> FloatArray:  # fmt: skip
+    count_u, count_v = control.shape[:2]
+    out = np.zeros((len(first_u), 6, 3))
+    along = np.empty((3, 3))
+    for m in range(len(first_u)):
+        for a in range(4):
+            i = (first_u[m] + a) % count_u
+            along[:] = 0.0
+            for b in range(4):
+                point = control[i, (first_v[m] + b) % count_v]
+                for d in range(3):
+                    for order in range(3):
+                        along[order, d] += bases_v[m, order, b] * point[d]
+            b0, b1, b2 = bases_u[m, 0, a], bases_u[m, 1, a], bases_u[m, 2, a]
+            for d in range(3):
+                out[m, 0, d] += b0 * along[0, d]
+                out[m, 1, d] += b1 * along[0, d]
+                out[m, 2, d] += b0 * along[1, d]
+                out[m, 3, d] += b2 * along[0, d]
+                out[m, 4, d] += b1 * along[1, d]
+                out[m, 5, d] += b0 * along[2, d]
+    return out

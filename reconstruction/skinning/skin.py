@@ -1,0 +1,187 @@
+"""The surface of one branch: outlines aligned, a net laid along them and fitted to their points."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from reconstruction.arrays import BoolArray, FloatArray, IntArray
+from reconstruction.skinning.aligning import Stations, align
+from reconstruction.skinning.assembly import variances_across
+from reconstruction.skinning.branch import Branch
+from reconstruction.skinning.ends import Apex, Brim, brim_or_apex
+from reconstruction.skinning.feet import nearby
+from reconstruction.skinning.laying import Laid, lay_net
+from reconstruction.skinning.net import basis_at, derivatives_at, unit_normals
+from reconstruction.skinning.noise import Noise
+from reconstruction.skinning.outlines import Moments
+from reconstruction.skinning.tensor_fit import FREE, Rim, TensorFit, fit_net
+
+_SPANS_A_FREEDOM = 2.5
+_MORE_SPANS = 10
+_MOST_SPANS = 240
+_LEAST_SPANS_V = 6
+_MOST_SPANS_V = 160
+_STATIONS_A_SPAN = 3
+_LEAST_STATIONS = 96
+_REACH = 6.0  # standard deviations from the first net: loose cells farther off are not its
+_BOXES = 64
+_CELLS_A_BOX = 4  # on average: by chance hardly one is empty
+_NEAR_END = 4  # outlines
+_FEWEST = 8  # outlines
+_WILD = 4.0  # times as far as those nearby from the middle between its neighbours
+_WILD_STEPS = 0.3  # and of the usual way to the next outline
+_EXACT = 1e-7  # of a part's size: scatter below it is none
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Skin:
+    """A branch and the surface fitted to it."""
+
+    branch: Branch
+    brims: tuple[Brim | Apex, Brim | Apex] | None  # None: it closes in v
+    laid: Laid
+    stations: Stations
+    moments: Moments
+    fit: TensorFit
+
+    def deviation_mm(self, u: FloatArray, v: FloatArray) -> FloatArray:
+        """Posterior standard deviation across the surface at (m,), (m,)."""
+        net = self.fit.net
+        frames = derivatives_at(net, u, v)
+        at = (
+            basis_at(u, net.knots_u, 0, closed=net.closed_u),
+            basis_at(v, net.knots_v, 0, closed=net.closed_v),
+        )
+        normals = unit_normals(frames[:, 1], frames[:, 2])
+        return np.sqrt(variances_across(self.fit.inverse, net, self.fit.unknowns, at, normals))
+
+    def synthetic(self, u: FloatArray, v: FloatArray) -> BoolArray:
+        """Whether no measured point stands near parameters of any shape."""
+        counts = self.support
+        end_u, end_v = self.fit.net.spans
+        column = np.minimum((u / end_u * counts.shape[0]).astype(np.int64), counts.shape[0] - 1)
+        row = np.minimum((v / end_v * counts.shape[1]).astype(np.int64), counts.shape[1] - 1)
+        return np.asarray(counts[column, row] == 0)
+
+    @property
+    def support(self) -> IntArray:
+        """Cells beside each box of a lattice over (u, v), a gap's width apart."""
+        end_u, end_v = self.fit.net.spans
+        held = self.fit.weights > 0.0
+        rows = min(max(len(self.branch.outlines) // 2, 1), _BOXES)
+        columns = min(max(int(held.sum()) // (_CELLS_A_BOX * rows), 8), _BOXES)
+        shape = (columns, rows)
+        feet = self.fit.feet
+        counts = np.zeros(shape, np.int64)
+        column = np.minimum((feet.u[held] / end_u * shape[0]).astype(np.int64), shape[0] - 1)
+        row = np.minimum((feet.v[held] / end_v * shape[1]).astype(np.int64), shape[1] - 1)
+        np.add.at(counts, (column, row), 1)
+        return counts
+
+
+def skin_branch(branch: Branch, loose: Moments | None = None) -> Skin:
+    """Fit one tensor surface to a branch of at least two outlines.
+
+    Parameters
+    ----------
+    loose
+        Cells that lie on no outline; those near the surface are used, the others left alone.
+    """
+    branch, stations, wild = _aligned(branch)
+    outlines = branch.outlines
+    spans = (_spans_around(branch), _spans_along(branch))
+    loose = Moments.together([each for each in (loose, *wild) if each is not None])
+    brims = _brims(branch)
+    laid = lay_net(outlines, stations, brims, spans)
+    moments = Moments.together([outline.moments for outline in outlines])
+    noise = _noise(branch)
+    u, v = laid.u, laid.v
+    if len(loose):
+        near, near_u, near_v = nearby(laid.net, loose, _REACH * math.sqrt(noise.level_mm2))
+        moments = Moments.together([moments, near])
+        u, v = np.concatenate([u, near_u]), np.concatenate([v, near_v])
+    fit = fit_net(laid.net, moments, u, v, noise, rims=_rims(brims))
+    return Skin(branch, brims, laid, stations, moments, fit)
+
+
+def _aligned(branch: Branch) -> tuple[Branch, Stations, list[Moments]]:
+    """Align outlines; those that stand out from both neighbours are left out, their cells kept."""
+    wild: list[Moments] = []
+    while True:
+        count = max(_STATIONS_A_SPAN * _spans_around(branch), _LEAST_STATIONS)
+        stations = align(branch.outlines, count, cyclic=branch.cyclic)
+        if len(branch.outlines) <= _FEWEST:
+            return branch, stations, wild
+        worst = _standing_out(stations, cyclic=branch.cyclic)
+        if worst is None:
+            return branch, stations, wild
+        wild.append(branch.outlines[worst].moments)
+        kept = branch.outlines[:worst] + branch.outlines[worst + 1 :]
+        branch = replace(branch, outlines=kept)
+
+
+def _standing_out(stations: Stations, *, cyclic: bool) -> int | None:
+    """The outline farthest from where its neighbours would have it, if that is far."""
+    places = stations.places_mm
+    strides = np.linalg.norm(places - np.roll(places, 1, axis=0), axis=2)
+    below = np.sqrt((strides**2).mean(axis=1)) + 1e-300
+    above = np.roll(below, -1)
+    share = (below / (below + above))[:, None, None]
+    middles = (1.0 - share) * np.roll(places, 1, axis=0) + share * np.roll(places, -1, axis=0)
+    off = np.linalg.norm(places - middles, axis=2).max(axis=1)
+    if not cyclic:  # towards an end outlines may shrink fast
+        off[:_NEAR_END] = off[-_NEAR_END:] = 0.0
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=2).max(axis=1)
+    # Beside an outline that stands out its neighbours do, half as much; the next ones tell.
+    around = np.stack([np.roll(off, shift) for shift in (-3, -2, 2, 3)]).max(axis=0)
+    excess = off - _WILD * around - _WILD_STEPS * float(np.median(steps))
+    worst = int(np.argmax(excess))
+    return worst if excess[worst] > 0.0 else None
+
+
+def _spans_around(branch: Branch) -> int:
+    """Spans enough for the liveliest of the outlines; the stiffness does the rest."""
+    edf = float(np.quantile([outline.fitted.edf for outline in branch.outlines], 0.9))
+    return int(min(max(_SPANS_A_FREEDOM * edf + _MORE_SPANS, 12), _MOST_SPANS))
+
+
+def _spans_along(branch: Branch) -> int:
+    """Three spans to four outlines, within bounds.
+
+    One to one, outlines would lie in the middle of spans, where they do not see a net that wavers
+    from row to row.
+    """
+    return int(min(max(0.75 * len(branch.outlines), _LEAST_SPANS_V), _MOST_SPANS_V))
+
+
+def _brims(branch: Branch) -> tuple[Brim | Apex, Brim | Apex] | None:
+    if branch.ends is None:
+        return None
+    low, high = branch.ends
+    return (
+        brim_or_apex(branch.outlines, low, last=False),
+        brim_or_apex(branch.outlines, high, last=True),
+    )
+
+
+def _rims(brims: tuple[Brim | Apex, Brim | Apex] | None) -> tuple[Rim, Rim]:
+    if brims is None:
+        return FREE
+    low, high = (
+        Rim(level=brim.axis) if isinstance(brim, Brim) else Rim(smooth=not brim.sharp)
+        for brim in brims
+    )
+    return low, high
+
+
+def _noise(branch: Branch) -> Noise:
+    """Scatter and kinship as the sections saw them; the fit looks at the scatter again."""
+    sigma = float(np.median([outline.fitted.sigma_mm for outline in branch.outlines]))
+    inflation = float(np.median([outline.fitted.inflation for outline in branch.outlines]))
+    size = max(float(np.ptp(outline.moments.means_mm, axis=0).max()) for outline in branch.outlines)
+    variance = max(sigma, _EXACT * size) ** 2
+    axis = branch.outlines[0].frame.axes[2]
+    return Noise(variance, variance, axis, max(inflation, 1.0))

@@ -1,0 +1,195 @@
+"""Nets under way: derivatives, foot points, and the rows they add to a system."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from reconstruction.nurbs import evaluate_surface_at, surface_derivatives
+from reconstruction.skinning.assembly import (
+    Unknowns,
+    add_data,
+    add_stiffness,
+    applied,
+    empty_system,
+    row_values,
+    row_variances,
+    stiffness_rows,
+    unknowns_of,
+    variances_across,
+)
+from reconstruction.skinning.blocks import Blocks, factorise, inverse_blocks
+from reconstruction.skinning.feet import find_feet
+from reconstruction.skinning.net import Net, basis_at, derivatives_at
+from reconstruction.skinning.noise import Noise
+from reconstruction.skinning.outlines import Moments
+from tests.reconstruction.skinning_parts import torus_net, tube_net
+
+NETS = {"tube": tube_net(), "tip": tube_net(apex=True), "torus": torus_net()}
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def somewhere(net: Net, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return rng.uniform(0.0, net.spans[0], count), rng.uniform(0.0, net.spans[1], count)
+
+
+def dense(matrix: Blocks) -> np.ndarray:
+    blocks, size = matrix.diagonal.shape[:2]
+    out = np.zeros((blocks * size, blocks * size))
+    for k in range(blocks):
+        own = slice(k * size, (k + 1) * size)
+        out[own, own] = matrix.diagonal[k]
+        if k + 1 < blocks:
+            out[(k + 1) * size : (k + 2) * size, own] = matrix.lower[k]
+    return out + np.tril(out, -1).T
+
+
+def jacobian(net: Net, unknowns: Unknowns, u: np.ndarray, v: np.ndarray, normals) -> np.ndarray:
+    """How far each unknown moves the surface along normals, one unknown after the other."""
+    size = unknowns.blocks * unknowns.size
+    rows = np.empty((len(u), size))
+    before = evaluate_surface_at(net.surface(), u, v)
+    for k in range(size):
+        moves = np.zeros(size)
+        moves[k] = 1.0
+        after = evaluate_surface_at(net.moved(applied(net, unknowns, moves)).surface(), u, v)
+        rows[:, k] = ((after - before) * normals).sum(axis=1)
+    return rows
+
+
+@pytest.mark.parametrize("name", NETS)
+def test_derivatives_are_those_of_the_surface(name: str) -> None:
+    net = NETS[name]
+    u, v = somewhere(net, 50, 1)
+    found, truth = derivatives_at(net, u, v), surface_derivatives(net.surface(), u, v, 2)
+    orders = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
+    for k, (a, b) in enumerate(orders):
+        assert found[:, k] == pytest.approx(truth[a, b], abs=1e-11)
+
+
+@pytest.mark.parametrize("name", NETS)
+def test_a_foot_point_is_where_the_arm_is_a_normal(name: str) -> None:
+    net = NETS[name]
+    u, v = somewhere(net, 200, 2)
+    inner = np.clip(v, 0.5, net.spans[1] - 1.0)
+    frames = derivatives_at(net, u, inner)
+    normals = np.cross(frames[:, 1], frames[:, 2])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    away = np.random.default_rng(3).uniform(-0.8, 0.8, 200)
+    cells = Moments(np.ones(200), frames[:, 0] + away[:, None] * normals, np.zeros((200, 3, 3)))
+    feet = find_feet(net, cells, u + 0.2, inner - 0.2, np.zeros((3, 3)), rounds=12)
+    assert feet.distances_mm == pytest.approx(away, abs=1e-7)
+
+
+def test_a_cell_of_noisy_points_stands_where_the_points_do_not() -> None:
+    """Both biases of a bent wall, arc and noise, are taken out: what is left is a tenth."""
+    radius, sigma, arc = 10.0, 0.6, 0.5
+    net = tube_net(radius, spans=(96, 6))
+    true_radius = np.hypot(*evaluate_surface_at(net.surface(), np.zeros(1), np.ones(1))[0, :2])
+    rng = np.random.default_rng(4)
+    turn = rng.uniform(-arc / 2, arc / 2, 400_000)
+    points = np.column_stack(
+        [true_radius * np.cos(turn), true_radius * np.sin(turn), rng.uniform(9.0, 11.0, len(turn))]
+    )
+    points += rng.normal(0.0, sigma, points.shape)
+    whole = Moments(np.array([4e5]), points.mean(axis=0)[None], np.cov(points.T)[None])
+    single = Moments(np.ones(4000), points[:4000], np.zeros((4000, 3, 3)))
+    noise = sigma**2 * np.eye(3)
+    off = find_feet(net, whole, np.zeros(1), np.full(1, 3.0), noise, rounds=8).distances_mm[0]
+    bare = np.hypot(*points.mean(axis=0)[:2]) - true_radius
+    assert bare < -0.09  # the arc alone: -R arc^2 / 24
+    assert abs(off) < 0.1 * abs(bare)
+    start = np.mod(np.arctan2(points[:4000, 1], points[:4000, 0]) / math.tau, 1.0) * net.spans[0]
+    alone = find_feet(net, single, start, np.full(4000, 3.0), noise, rounds=8).distances_mm
+    outward = np.hypot(*points[:4000, :2].T).mean() - true_radius
+    assert abs(alone.mean() - (outward - sigma**2 / (2 * radius))) < 1e-3
+
+
+@pytest.mark.parametrize("name", NETS)
+def test_data_enter_the_system_as_their_jacobian_says(name: str) -> None:
+    net = NETS[name]
+    unknowns = unknowns_of(net, (UP, None) if name != "torus" else (None, None))
+    u, v = somewhere(net, 40, 5)
+    rng = np.random.default_rng(6)
+    normals = rng.normal(size=(40, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    distances, weights = rng.normal(size=40), rng.uniform(0.5, 2.0, 40)
+    at = (
+        basis_at(u, net.knots_u, 0, closed=net.closed_u),
+        basis_at(v, net.knots_v, 0, closed=net.closed_v),
+    )
+    matrix, right = empty_system(unknowns)
+    add_data((matrix, right), net, unknowns, at, normals, distances, weights)
+    rows = jacobian(net, unknowns, u, v, normals)
+    assert dense(matrix) == pytest.approx(rows.T @ (weights[:, None] * rows), abs=1e-10)
+    assert right.ravel() == pytest.approx(rows.T @ (weights * distances), abs=1e-10)
+
+
+@pytest.mark.parametrize("name", NETS)
+def test_rows_of_the_stiffness_say_how_they_change(name: str) -> None:
+    net = NETS[name]
+    unknowns = unknowns_of(net, (None, None))
+    size = unknowns.blocks * unknowns.size
+    moves = np.random.default_rng(7).normal(0.0, 1e-4, size)
+    moved = net.moved(applied(net, unknowns, moves))
+    for before, after in zip(
+        stiffness_rows(net, unknowns), stiffness_rows(moved, unknowns), strict=True
+    ):
+        # To first order: moves of 1e-4 leave some 1e-8, turns of the normals among it.
+        change = after.values_mm - before.values_mm
+        assert row_values(before, moves) == pytest.approx(change, abs=1e-7)
+        assert np.abs(change).max() > 1e-4
+
+
+def test_circles_and_straight_lines_cost_nothing() -> None:
+    for name, which in (("tube", (0, 1)), ("torus", (0,))):
+        net = NETS[name]
+        rows = stiffness_rows(net, unknowns_of(net, (None, None)))
+        for each in which:
+            assert np.abs(rows[each].values_mm).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", NETS)
+def test_variances_are_those_of_the_dense_inverse(name: str) -> None:
+    net = NETS[name]
+    unknowns = unknowns_of(net, (None, None))
+    system = empty_system(unknowns)
+    rows = stiffness_rows(net, unknowns)
+    for each in rows:
+        add_stiffness(system, each, np.full(len(each.values_mm), 2.0))
+    for block in system[0].diagonal:
+        block[np.diag_indices(len(block))] += 1.0
+    factor = factorise(system[0])
+    assert factor is not None
+    inverse, truth = inverse_blocks(factor), np.linalg.inv(dense(system[0]))
+    for each in rows:
+        wide = np.zeros((len(each.values_mm), len(truth)))
+        for k in range(each.numbers.shape[1]):
+            there = each.numbers[:, k] >= 0
+            wide[np.flatnonzero(there), each.numbers[there, k]] += each.slopes[there, k]
+        expected = np.einsum("ri,ij,rj->r", wide, truth, wide)
+        assert row_variances(each, inverse) == pytest.approx(expected, rel=1e-9, abs=1e-12)
+    u, v = somewhere(net, 20, 8)
+    normals = np.tile([0.6, 0.0, 0.8], (20, 1))
+    at = (
+        basis_at(u, net.knots_u, 0, closed=net.closed_u),
+        basis_at(v, net.knots_v, 0, closed=net.closed_v),
+    )
+    slopes = jacobian(net, unknowns, u, v, normals)
+    expected = np.einsum("ri,ij,rj->r", slopes, truth, slopes)
+    found = variances_across(inverse, net, unknowns, at, normals)
+    assert found == pytest.approx(expected, rel=1e-9)
+
+
+def test_both_sizes_of_the_noise_are_told_by_the_residuals() -> None:
+    rng = np.random.default_rng(9)
+    normals = rng.normal(size=(20_000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    truth = Noise(0.04, 0.0025, UP)
+    squares = truth.across(normals) * rng.normal(size=20_000) ** 2
+    found = Noise(1.0, 1.0, UP).looked_at_again(normals, squares, np.ones(20_000), 0.0)
+    assert found.level_mm2 == pytest.approx(0.04, rel=0.05)
+    assert found.rise_mm2 == pytest.approx(0.0025, rel=0.15)
