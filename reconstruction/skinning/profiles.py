@@ -17,8 +17,8 @@ _SAME = 1e-9  # of the profile's size
 def profile_between(control_mm: FloatArray, low_mm: float, high_mm: float) -> Curve:
     """Cut an open profile to the stretch from its first to its last place between two heights.
 
-    Where it ends before them, but heads for them, it goes on straight, as far again as it is long at
-    most; where it meets the axis it ends, on the axis exactly.
+    Where it ends before them, but heads for them, it goes on straight, as far again as it is long
+    at most; where it meets the axis it ends, on the axis exactly.
 
     Parameters
     ----------

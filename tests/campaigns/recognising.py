@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -108,19 +108,24 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--points", type=int, default=20_000)
     options = parser.parse_args()
-    print(f"{options.seeds} seeds of {options.points} points, sigma 0.2 mm")
+    _say(f"{options.seeds} seeds of {options.points} points, sigma 0.2 mm")
     for name, (kind, part) in TRUE.items():
         found = Counter(claimed(part, options.points, seed) for seed in range(options.seeds))
         others = {other: count for other, count in found.items() if other != kind}
-        print(f"{name:38s} found {found[kind]:4d}   else {others or ''}", flush=True)
-    print("\na cylinder that deviates, claimed as one, at standard deviations of", SIZES)
+        _say(f"{name:38s} found {found[kind]:4d}   else {others or ''}")
+    _say(f"\na cylinder that deviates, claimed as one, at standard deviations of {SIZES}")
     for name, pattern in PATTERNS.items():
         counts = []
         for size in SIZES:
             part = deviating(pattern, size, options.points)
             kinds = [claimed(part, options.points, seed) for seed in range(options.seeds)]
             counts.append(kinds.count("cylinder"))
-        print(f"{name:20s}", *(f"{count:5d}" for count in counts), flush=True)
+        _say(f"{name:20s}" + "".join(f"{count:6d}" for count in counts))
+
+
+def _say(line: str) -> None:
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -153,7 +153,7 @@ def test_a_profile_goes_on_straight_and_ends_on_the_axis() -> None:
     np.testing.assert_allclose(radii, 20.0 - 0.5 * heights, atol=1e-9)
     np.testing.assert_allclose(points[:, 0, 2], -5.0, atol=1e-12)
     row = surface.control_points_mm[:, -1]
-    np.testing.assert_allclose(row, np.tile(ORIGIN + [0.0, 0.0, 40.0], (len(row), 1)), atol=1e-9)
+    np.testing.assert_allclose(row, np.tile(ORIGIN + 40.0 * UP, (len(row), 1)), atol=1e-9)
     assert np.ptp(row, axis=0).max() == 0.0
 
 
