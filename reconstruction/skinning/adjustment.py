@@ -26,6 +26,11 @@ from reconstruction.skinning.primitives import Form, Reading
 
 _TRUSTED = 0.35  # spread over radius of curvature up to which a cell counts in full ...
 _DISTRUSTED = 0.6  # ... and from which it does not count
+_FLAT = (
+    0.35  # scatter for the form's bend over that for noise, up to which a cell pulls in full ...
+)
+_BENT = 0.6  # ... and from which it does not pull
+_TINY = 1e-300
 _STILL = 1e-4  # squared, in standard deviations
 _NEAR = 1e-2
 _HALVINGS = 6
@@ -78,7 +83,7 @@ class Spread:
     shifts_mm: FloatArray  # (m,), to be added to the distance of the mean
     scatters_mm2: FloatArray  # (m,), variance of the points across
     blur: FloatArray  # (m,), the greater spread over radius of curvature, the cell's or the noise's
-    pulls_mm2: FloatArray  # (m, 3), covariance of distance and place over the form, without noise
+    pulls_mm2: FloatArray  # (m, 3), covariance of distance and place over the form, see `_pulled`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,6 +168,23 @@ def spread_over(reading: Reading, cells: Cells) -> Spread:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _pulling(bend: float, noise: float) -> float:
+    """How far to believe a cell's covariance of distance and place, 0 .. 1.
+
+    Where the form bends within a cell that is lopsided, as a wedge at a pole is, its points farther
+    along lie farther off for the bend alone.
+
+    Parameters
+    ----------
+    bend, noise
+        Variance of the points' distances from a tangent plane, for the bend and for their error.
+    """
+    share = (_BENT - np.sqrt(max(bend, 0.0) / max(noise, _TINY))) / (_BENT - _FLAT)
+    share = min(max(share, 0.0), 1.0)
+    return float(share * share * (3.0 - 2.0 * share))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _spread_over(
     normals: FloatArray,
     around: FloatArray,
@@ -176,27 +198,34 @@ def _spread_over(
     pulls = np.empty((count, 3))
     total_noise = noise[0, 0] + noise[1, 1] + noise[2, 2]
     for m in range(count):
-        across = across_noise = first = first_noise = total = 0.0
+        n, t = normals[m], around[m]
+        across = across_noise = first = first_noise = total = squares = 0.0
+        pull, turn = np.zeros(3), np.zeros(3)
         for i in range(3):
             total += covariances[m, i, i]
-            pulls[m, i] = 0.0
             for j in range(3):
-                pulls[m, i] += (covariances[m, i, j] - scale[m] * noise[i, j]) * normals[m, j]
-                nn, tt = normals[m, i] * normals[m, j], around[m, i] * around[m, j]
-                across += nn * covariances[m, i, j]
-                first += tt * covariances[m, i, j]
-                across_noise += nn * noise[i, j]
-                first_noise += tt * noise[i, j]
+                own = covariances[m, i, j] - scale[m] * noise[i, j]
+                pull[i] += own * n[j]
+                turn[i] += own * t[j]
+                squares += own * own
+                across += n[i] * n[j] * covariances[m, i, j]
+                first += t[i] * t[j] * covariances[m, i, j]
+                across_noise += n[i] * n[j] * noise[i, j]
+                first_noise += t[i] * t[j] * noise[i, j]
         both = total - across
         both_noise = scale[m] * (total_noise - across_noise)
+        across_noise *= scale[m]
         first_noise *= scale[m]
         one, other = curvatures[m, 0], curvatures[m, 1]
         shifts[m] = 0.5 * other * (both - both_noise)
         shifts[m] += 0.5 * (one - other) * (first - first_noise)
         scatters[m] = max(across, 0.0)
-        surplus = across - scale[m] * across_noise
-        for i in range(3):
-            pulls[m, i] -= surplus * normals[m, i]
+        surplus, aslant = across - across_noise, n @ turn
+        # tr((II (T - N))**2), twice the variance of a bell-shaped cell's distances for the bend.
+        bend = other * other * (squares - 2.0 * (pull @ pull) + surplus * surplus)
+        bend += 2.0 * other * (one - other) * (turn @ turn - aslant * aslant)
+        bend += ((one - other) * (first - first_noise)) ** 2
+        pulls[m] = _pulling(0.5 * bend, across_noise) * (pull - surplus * n)
         if one == other:
             blur[m] = abs(one) * np.sqrt(max(both, both_noise, 0.0))
         else:
