@@ -8,6 +8,8 @@ standard normal number; so is what then remains of every patch.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.linalg import solve_triangular
 
@@ -45,17 +47,46 @@ def left_over(found: Fitted, cells: Cells) -> tuple[FloatArray, FloatArray]:
 
     All are standard normal numbers where the cells are those of the form.
     """
-    weights = cells.precisions * found.trust
-    places = cells.moments.means_mm
-    patches = pooled(found.chart, places, weights)
     bounds = found.chart.min(axis=0), found.chart.max(axis=0)
+    patches = pooled(found.chart, cells.moments.means_mm, cells.precisions * found.trust)
+    parts, rest = _apart(found, cells, patches, lambda at: _waves(found.form, at, bounds))
+    return parts, np.where(_one_sided(rest, found, cells, patches), 0.0, rest)
+
+
+def gained(found: Fitted, other: Form, cells: Cells) -> float:
+    """How much of the sum of squares another form nearby takes away, in units of the noise.
+
+    Told by patches, as waves are: the squares themselves also tell how noise frays at the rims.
+    """
+    patches = pooled(found.chart, cells.moments.means_mm, cells.precisions * found.trust)
+
+    def between(places: FloatArray) -> FloatArray:
+        there, here = other.measure(places), found.form.measure(places)
+        # Planes, and forms nearly so, may be turned inside out.
+        side = np.sign((there.normals * here.normals).sum(axis=1))
+        return np.asarray((here.distances_mm - side * there.distances_mm)[:, None])
+
+    return float((_apart(found, cells, patches, between)[0] ** 2).sum())
+
+
+def _apart(
+    found: Fitted, cells: Cells, patches: Patches, columns: Callable[[FloatArray], FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Parts of the distances along columns, beyond the form's freedoms, and every patch's rest.
+
+    Parameters
+    ----------
+    columns
+        Of places (p, 3) their values (p, k).
+    """
+    weights, places = cells.precisions * found.trust, cells.moments.means_mm
 
     def rows_at(middles: FloatArray) -> FloatArray:
-        return np.hstack([found.form.measure(middles).slopes, _waves(found.form, middles, bounds)])
+        return np.hstack([found.form.measure(middles).slopes, columns(middles)])
 
     freedoms = len(found.normal_matrix)
     if len(patches.held) <= freedoms:
-        return np.empty(0), np.empty(0)
+        return np.empty(0), np.zeros(len(patches.held))
     told = max(len(patches.held) // _PATCHES_A_WAVE, freedoms)  # few patches tell few waves
     rows = rows_at(patches.middles_mm)[:, :told]
     distances = patches.mean(found.distances_mm, weights)
@@ -66,8 +97,7 @@ def left_over(found: Fitted, cells: Cells) -> tuple[FloatArray, FloatArray]:
         turns = patches.along(rows_at, patches.mean(pulls, weights))[:, :told]
         right = right + patches.held @ turns
     parts, factors = _taken_out(np.sqrt(patches.held)[:, None] * rows, right)
-    rest = np.sqrt(patches.held) * (distances - rows @ factors)
-    return parts[freedoms:], np.where(_one_sided(rest, found, cells, patches), 0.0, rest)
+    return parts[freedoms:], np.sqrt(patches.held) * (distances - rows @ factors)
 
 
 def _one_sided(rest: FloatArray, found: Fitted, cells: Cells, patches: Patches) -> BoolArray:

@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 from reconstruction.arrays import FloatArray
 from reconstruction.skinning.adjustment import Cells, Fitted, adjusted, approached
 from reconstruction.skinning.exact_shapes import Shape
-from reconstruction.skinning.lack_of_fit import lacks_fit
+from reconstruction.skinning.lack_of_fit import gained, lacks_fit
 from reconstruction.skinning.outlines import Moments
 from reconstruction.skinning.patches import beyond_rims, pooled
 from reconstruction.skinning.primitives import Form
@@ -123,20 +123,31 @@ class _Judge:
     cells: Cells
 
     def best(self, trials: Iterable[_Trial]) -> _Trial | None:
-        """Return the trial with the best score of those that all judges accept."""
-        price = math.log(max(float(self.cells.independent.sum()), 2.0))  # of a degree of freedom
-        scored = []
-        for found, cells in trials:
-            excess = _misfit(found, cells) - self.free_misfit
-            score = excess + found.freedom * price
-            # A free surface as stiff as a plane is still more than one.
-            dearer = max(self.free_edf, found.freedom + 1.0) * price
-            if score < dearer and excess < self._explained(found.freedom):
-                scored.append((score, found, cells))
-        for _, found, cells in sorted(scored, key=lambda each: each[0]):
-            if not lacks_fit(found, cells):
-                return found, cells
-        return None
+        """Return the simplest trial that all judges accept, unless a richer one is worth more."""
+        best: _Trial | None = None
+        for found, cells in sorted(trials, key=lambda each: each[0].freedom):
+            if not self._accepts(found, cells):
+                continue
+            if best is None or self._dearer(best, found):
+                best = found, cells
+        return best
+
+    def _accepts(self, found: Fitted, cells: Cells) -> bool:
+        excess = _misfit(found, cells) - self.free_misfit
+        # A free surface as stiff as a plane is still more than one.
+        spared = max(self.free_edf - found.freedom, 1.0)
+        likely = excess < spared * self._price and excess < self._explained(found.freedom)
+        return likely and not lacks_fit(found, cells)
+
+    def _dearer(self, best: _Trial, other: Fitted) -> bool:
+        """Whether another form explains more than its further freedoms are worth."""
+        found, cells = best
+        return gained(found, other.form, cells) > self._price * (other.freedom - found.freedom)
+
+    @property
+    def _price(self) -> float:
+        """Of a degree of freedom (Schwarz), by the points that are independent of each other."""
+        return math.log(max(float(self.cells.independent.sum()), 2.0))
 
     def hopeless(self, rough: Fitted, few: Cells) -> bool:
         """Whether few cells lie farther off than any judge will let all of them."""
