@@ -11,14 +11,30 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from reconstruction.errors import ReconstructionError
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from reconstruction.exporting import Body
+    from reconstruction.nurbs import Surface
+
 _WRITERS = ("step", "3dm")
 _TIME_LIMIT_S = 600.0
+
+
+@dataclass(frozen=True, slots=True)
+class SolidOrder:
+    """How the patches of surface.json enclose a part, one entry a patch."""
+
+    holes: tuple[bool, ...]  # material lies outside
+    closings: tuple[str, ...]  # values of `exporting.Closing`
+    volume_mm3: float  # that the part's mesh holds
 
 
 class CadWriter:
@@ -57,19 +73,26 @@ class CadWriter:
             with self._child:  # closes its pipes and waits for its end
                 pass
 
-    def write(self, folder: Path, *, name: str) -> None:
-        """Let the child write into a folder that holds surface.json and sections.json."""
+    def write(self, folder: Path, *, name: str, solid: SolidOrder | None = None) -> None:
+        """Let the child write into a folder that holds surface.json and sections.json.
+
+        Parameters
+        ----------
+        solid
+            How the patches enclose the part; without it they are patches and no more.
+        """
         if self._child is None or self._child.stdin is None:
             return
-        order = json.dumps({"folder": str(folder), "name": name})
+        said = None if solid is None else asdict(solid)
+        order = json.dumps({"folder": str(folder), "name": name, "solid": said})
         try:
             self._child.stdin.write(order + "\n")
             self._child.stdin.flush()
         except BrokenPipeError:
             pass  # it died: `finish` says of what
 
-    def finish(self) -> None:
-        """Wait for the files.
+    def finish(self) -> tuple[str, ...]:
+        """Wait for the files; say why a part is no solid in them, if it is none.
 
         Raises
         ------
@@ -79,7 +102,7 @@ class CadWriter:
             It failed for lack of space or permission.
         """
         if self._child is None:
-            return
+            return ()
         try:
             said, complaint = self._child.communicate(timeout=_TIME_LIMIT_S)
         except subprocess.TimeoutExpired as late:
@@ -87,6 +110,7 @@ class CadWriter:
             raise ReconstructionError(message) from late
         if self._child.returncode != 0:
             raise _failure(said, complaint, self._child.returncode)
+        return tuple(json.loads(said.strip().splitlines()[-1])["reasons"]) if said.strip() else ()
 
 
 def _failure(said: str, complaint: str, code: int) -> Exception:
@@ -102,22 +126,45 @@ def _failure(said: str, complaint: str, code: int) -> Exception:
     return ReconstructionError(f"CAD files: {told['message']}")
 
 
-def write_files(folder: Path, name: str, formats: list[str]) -> None:
-    """Write the CAD files of a result folder from its JSON files."""
+def write_files(
+    folder: Path, name: str, formats: list[str], solid: SolidOrder | None = None
+) -> tuple[str, ...]:
+    """Write the CAD files of a result folder from its JSON files; say why there is no solid."""
     from reconstruction.exporting import (
+        flat_caps,
         read_sections_json,
         read_surface_json,
         write_step,
+        write_step_solid,
         write_threedm,
     )
 
     surfaces = read_surface_json(folder / "surface.json")
     provenance = json.loads((folder / "surface.json").read_text(encoding="utf-8"))["provenance"]
-    if "step" in formats and surfaces:  # without a patch there is nothing that STEP could hold
-        write_step(folder / "surface.step", surfaces, name=name, provenance=provenance)
+    bodies = () if solid is None else _bodies(surfaces, solid)
+    reasons: tuple[str, ...] = ()
+    step = folder / "surface.step"
+    if "step" in formats and solid is not None and bodies:
+        found = write_step_solid(
+            step, bodies, name=name, provenance=provenance, volume_mm3=solid.volume_mm3
+        )
+        reasons = found.reasons
+    elif "step" in formats and surfaces:  # without a patch there is nothing that STEP could hold
+        write_step(step, surfaces, name=name, provenance=provenance)
     if "3dm" in formats:
         curves = [record.curve for record in read_sections_json(folder / "sections.json")]
-        write_threedm(folder / "surface.3dm", surfaces, curves, name=name, provenance=provenance)
+        write_threedm(
+            folder / "surface.3dm", surfaces, curves, caps=flat_caps(bodies), name=name,
+            provenance=provenance,
+        )  # fmt: skip
+    return reasons
+
+
+def _bodies(surfaces: Sequence[Surface], solid: SolidOrder) -> tuple[Body, ...]:
+    from reconstruction.exporting import Body, Closing
+
+    pairs = zip(surfaces, solid.holes, solid.closings, strict=True)
+    return tuple(Body(each, hole, Closing(closing)) for each, hole, closing in pairs)
 
 
 def _load_libraries(formats: list[str]) -> None:
@@ -137,7 +184,9 @@ def main(formats: list[str]) -> int:
         if not line:  # whoever started us had nothing to write, or is gone
             return 0
         order = json.loads(line)
-        write_files(Path(order["folder"]), order["name"], formats)
+        solid = order["solid"] and SolidOrder(**order["solid"])
+        reasons = write_files(Path(order["folder"]), order["name"], formats, solid)
+        print(json.dumps({"reasons": reasons}))
     except (OSError, ImportError, ReconstructionError, ValueError) as error:
         number = error.errno if isinstance(error, OSError) else None
         text = (error.strerror if isinstance(error, OSError) else None) or str(error)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib as mpl
 import numpy as np
@@ -62,6 +62,9 @@ _STYLE: Any = {  # the keys are a Literal type in new matplotlib, str in old
 }
 _DIVERGING = LinearSegmentedColormap.from_list(
     "deviation", ["#0b3c7d", "#2f79b9", "#93c1de", "#f7f7f7", "#f0a582", "#cd4a3f", "#7f0f22"]
+)
+_UNCERTAIN = LinearSegmentedColormap.from_list(
+    "certainty", ["#f4f1e8", "#f3cf8a", "#e69f00", "#b0541d", "#5e1a3c", "#2a0f2e"]
 )
 
 
@@ -162,14 +165,24 @@ def deviation_figure(image: ByteArray, *, limit_mm: float, title: str) -> Figure
     """Set a picture (h, w, 3) of a mesh in deviation colours beside its colour bar in mm."""
     with mpl.rc_context(_STYLE):
         figure = _picture(image, title, margin_px=_BAR_PX)
-        width = image.shape[1] + _BAR_PX
-        place = ((image.shape[1] + 24) / width, 0.14, 22 / width, 0.7)
-        scale = ScalarMappable(Normalize(-limit_mm, limit_mm), _DIVERGING)
-        bar = figure.colorbar(scale, cax=figure.add_axes(place), extend="both")
-        bar.set_label("deviation, outwards positive [mm]")
-        bar.outline.set_visible(False)
+        scale, words = Normalize(-limit_mm, limit_mm), "deviation, outwards positive [mm]"
+        _bar(figure, image, scale, _DIVERGING, words, "both")
         swatch = Line2D([], [], ls="", marker="s", color=np.divide(UNDEFINED, 255).tolist())
         figure.legend([swatch], ["no measured point"], loc="lower right")
+    return figure
+
+
+def certainty_colours(values_mm: FloatArray, limit_mm: float) -> ByteArray:
+    """Colours (n, 3) of standard deviations (n,): light where certain, dark where not."""
+    colours = _UNCERTAIN(np.clip(values_mm / limit_mm, 0, 1), bytes=True)[:, :3]
+    return np.asarray(colours)
+
+
+def certainty_figure(image: ByteArray, *, limit_mm: float, title: str) -> Figure:
+    """Set a picture (h, w, 3) of a surface in certainty colours beside its colour bar in mm."""
+    with mpl.rc_context(_STYLE):
+        figure = _picture(image, title, margin_px=_BAR_PX)
+        _bar(figure, image, Normalize(0.0, limit_mm), _UNCERTAIN, "standard deviation [mm]", "max")
     return figure
 
 
@@ -270,6 +283,22 @@ def picture_figure(image: ByteArray, *, title: str) -> Figure:
     """Set a picture (h, w, 3) under its title, in the style of the other figures."""
     with mpl.rc_context(_STYLE):
         return _picture(image, title)
+
+
+def _bar(
+    figure: Figure,
+    image: ByteArray,
+    scale: Normalize,
+    colours: LinearSegmentedColormap,
+    words: str,
+    extend: Literal["both", "max"],
+) -> None:
+    """A colour bar in the strip beside a picture (h, w, 3)."""
+    width = image.shape[1] + _BAR_PX
+    place = ((image.shape[1] + 24) / width, 0.14, 22 / width, 0.7)
+    bar = figure.colorbar(ScalarMappable(scale, colours), cax=figure.add_axes(place), extend=extend)
+    bar.set_label(words)
+    bar.outline.set_visible(False)
 
 
 def _plane(title: str) -> tuple[Figure, Axes]:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from itertools import groupby
 
 import numpy as np
 
 from drivers.profiler import Reason
+from loftscan.branch_findings import judge_branches
 from loftscan.gathering import Gathered
+from loftscan.methods import AnyReconstruction, AnySection
 from loftscan.metrics import is_one_turn
 from loftscan.scans import Absent
 from loftscan.sliced import Sliced
+from loftscan.spans import spans
 from reconstruction.pipeline import Reconstruction
 from reconstruction.sections import Section, Skipped
 from reconstruction.setting_aside import Aside
@@ -22,19 +24,22 @@ _NOTABLE_LOST = 0.005  # of all places
 _WIDE_GAP_SHARE = 0.25  # of a section's length
 
 
-def judge(cutting: Sliced, done: Reconstruction) -> tuple[str, ...]:
+def judge(cutting: Sliced, done: AnyReconstruction) -> tuple[str, ...]:
     """Say what a person should know before using the surface; empty when there is nothing."""
+    own = _of_paper(done) if isinstance(done, Reconstruction) else judge_branches(done)
     found = [
         _set_aside(cutting),
         _strays(cutting),
-        _left_out(done.sections),
         _wide_gaps(done.sections),
-        _crossing(done.sections),
+        *own,
         _skipped(done),
-        _patchless(done),
         _lying(cutting, done.sections),
     ]
     return tuple(sentence for sentence in found if sentence)
+
+
+def _of_paper(done: Reconstruction) -> list[str | None]:
+    return [_left_out(done.sections), _crossing(done.sections), _patchless(done)]
 
 
 def judge_arrivals(gathered: Gathered, name: str) -> tuple[str, ...]:
@@ -103,7 +108,7 @@ def _left_out(sections: Iterable[Section]) -> str | None:
     )
 
 
-def _wide_gaps(sections: Iterable[Section]) -> str | None:
+def _wide_gaps(sections: Iterable[AnySection]) -> str | None:
     named = [s for s in sections if s.gap_mm > _WIDE_GAP_SHARE * s.length_mm]
     if not named:
         return None
@@ -124,7 +129,7 @@ def _crossing(sections: Iterable[Section]) -> str | None:
     )
 
 
-def _skipped(done: Reconstruction) -> str | None:
+def _skipped(done: AnyReconstruction) -> str | None:
     skipped = _within_the_part(done)
     if not skipped:
         return None
@@ -135,7 +140,7 @@ def _skipped(done: Reconstruction) -> str | None:
     )
 
 
-def _within_the_part(done: Reconstruction) -> list[Skipped]:
+def _within_the_part(done: AnyReconstruction) -> list[Skipped]:
     """Skipped slices but for empty ends: a scan may begin below a part and end above it."""
     seen = [each.index for each in done.sections]
     seen += [each.index for each in done.skipped if each.points]
@@ -152,9 +157,9 @@ def _patchless(done: Reconstruction) -> str | None:
     )
 
 
-def _lying(cutting: Sliced, sections: Iterable[Section]) -> str | None:
+def _lying(cutting: Sliced, sections: Iterable[AnySection]) -> str | None:
     """Most sections open: the part was probably not turned about this axis."""
-    flags = [not section.contour.closed for section in sections]
+    flags = [not section.closed for section in sections]
     if not flags or np.mean(flags) < 0.5:
         return None
     if isinstance(cutting, Gathered):
@@ -166,16 +171,8 @@ def _lying(cutting: Sliced, sections: Iterable[Section]) -> str | None:
     return f"most sections are open: was the part turned about another axis than --axis {axis}?"
 
 
-def _numbered(noun: str, things: Sequence[Section] | Sequence[Skipped] | Sequence[Absent]) -> str:
+def _numbered(
+    noun: str, things: Sequence[AnySection] | Sequence[Skipped] | Sequence[Absent]
+) -> str:
     plural = "s" if len(things) > 1 else ""
     return f"{noun}{plural} {spans(each.index for each in things)}"
-
-
-def spans(indices: Iterable[int]) -> str:
-    """Numbers as a person writes them: 3-7, 9, 12-13."""
-    ordered = sorted(set(indices))
-    runs = [
-        [index for _, index in group]
-        for _, group in groupby(enumerate(ordered), key=lambda pair: pair[1] - pair[0])
-    ]
-    return ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else str(run[0]) for run in runs)

@@ -11,14 +11,16 @@ import numpy as np
 
 from drivers.profiler import Reason
 from loftscan.gathering import Gathered
+from loftscan.methods import AnyReconstruction
 from loftscan.sliced import Counted, Sliced
 from reconstruction.comparison import Deviation
+from reconstruction.fit_pipeline import FittedReconstruction
 from reconstruction.pipeline import Reconstruction
 from reconstruction.setting_aside import Aside
 
 
 def gather(
-    source: Counted, cutting: Sliced, done: Reconstruction, deviation: Deviation
+    source: Counted, cutting: Sliced, done: AnyReconstruction, deviation: Deviation
 ) -> dict[str, object]:
     """Collect what metrics.json says; docs/result-folder.md explains every name."""
     return {
@@ -62,7 +64,7 @@ def lag(lags_s: Sequence[float], appeared_s: Sequence[float]) -> dict[str, objec
     }
 
 
-def _points(source: Counted, cutting: Sliced, done: Reconstruction) -> dict[str, object]:
+def _points(source: Counted, cutting: Sliced, done: AnyReconstruction) -> dict[str, object]:
     aside = {reason.name.lower(): cutting.aside.get(reason, 0) for reason in Aside}
     in_skipped = sum(each.points for each in done.skipped)
     return {
@@ -76,9 +78,11 @@ def _points(source: Counted, cutting: Sliced, done: Reconstruction) -> dict[str,
     }
 
 
-def _sections(cutting: Sliced, done: Reconstruction) -> dict[str, object]:
+def _sections(cutting: Sliced, done: AnyReconstruction) -> dict[str, object]:
     sections = done.sections
     length = sum(section.length_mm for section in sections)
+    curves = [drawn.curve for section in sections for drawn in section.curves]
+    own = _of_paper(done) if isinstance(done, Reconstruction) else _of_fit(done)
     return {
         "slices": len(cutting.counts),
         "sections": len(sections),
@@ -86,18 +90,41 @@ def _sections(cutting: Sliced, done: Reconstruction) -> dict[str, object]:
         "spacing_mm": cutting.spacing.step_mm,
         "spacing_rule": cutting.spacing.rule.value,
         "patches": len(done.patches),
-        "control_points": sum(len(section.curve.control_points_mm) for section in sections),
+        "control_points": sum(len(curve.control_points_mm) for curve in curves),
         "patch_control_points": sum(patch.weights.size for patch in done.patches),
-        "thickness_mm": float(np.median([s.thickness.width_mm for s in sections])),
+        "thickness_mm": float(np.median([section.width_mm for section in sections])),
+        "thickness_definition": own.pop("thickness_definition"),
+        "radius_mm": _finite(float(np.median([section.radius_mm for section in sections]))),
+        "gap_fraction": sum(section.gap_mm for section in sections) / length,
+        "sections_open": sum(not section.closed for section in sections),
+        **own,
+    }
+
+
+def _of_paper(done: Reconstruction) -> dict[str, object]:
+    sections = done.sections
+    return {
         "thickness_definition": "median over sections of 4 sigma, sigma from local parabolas",
-        "radius_mm": _finite(float(np.median([s.thickness.radius_mm for s in sections]))),
         "cell_mm": float(np.median([s.resolution.cell_mm for s in sections])),
         "cell_by_rule_mm": float(np.median([s.resolution.rule_mm for s in sections])),
-        "gap_fraction": sum(section.gap_mm for section in sections) / length,
-        "sections_open": sum(not section.contour.closed for section in sections),
         "sections_not_simple": sum(
             not is_one_turn(section.contour.rotations) for section in sections
         ),
+    }
+
+
+def _of_fit(done: FittedReconstruction) -> dict[str, object]:
+    branching, skins = done.skinned.branching, done.skinned.skins
+    return {
+        "thickness_definition": "median over sections of 4 sigma, sigma of points across curves",
+        "contours": sum(len(section.outlines.outlines) for section in done.sections),
+        "contours_left_out": len(branching.left_out),
+        "contours_open": sum(len(section.outlines.runs) for section in done.sections),
+        "branches": len(branching.branches),
+        "joints": len(branching.joints),
+        "cavities": sum(branch.hole for branch in branching.branches),
+        "mesh_tolerance_mm": done.skinned.tolerance_mm,
+        "surface_sigma_mm": float(np.median([skin.fit.noise.level_mm2**0.5 for skin in skins])),
     }
 
 
@@ -106,8 +133,9 @@ def is_one_turn(rotations: float) -> bool:
     return math.isclose(abs(rotations), 1.0, abs_tol=1e-6)
 
 
-def _residuals(done: Reconstruction) -> dict[str, object]:
+def _residuals(done: AnyReconstruction) -> dict[str, object]:
     near, every = done.residual, done.residual_all
+    reach = "3 cells" if isinstance(done, Reconstruction) else "6 standard deviations"
     return {
         "residual_rms_mm": _finite(near.rms_mm),
         "residual_max_mm": near.max_mm,
@@ -115,7 +143,7 @@ def _residuals(done: Reconstruction) -> dict[str, object]:
         "residual_points": near.count,
         "residual_rule": (
             "in-plane distance of every unreduced point to its section's curve; points farther "
-            "than 3 cells belong to something the section does not describe and are left out"
+            f"than {reach} belong to something the section does not describe and are left out"
         ),
         "residual_all_rms_mm": _finite(every.rms_mm),
         "residual_all_max_mm": every.max_mm,
@@ -123,7 +151,7 @@ def _residuals(done: Reconstruction) -> dict[str, object]:
     }
 
 
-def _surface(done: Reconstruction, deviation: Deviation) -> dict[str, object]:
+def _surface(done: AnyReconstruction, deviation: Deviation) -> dict[str, object]:
     sound = done.cleaned.after
     statistics, verdict = deviation.statistics, deviation.verdict
     return {

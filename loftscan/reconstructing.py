@@ -6,7 +6,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from enum import Enum
 from pathlib import Path
 
 import numpy as np
@@ -15,15 +14,24 @@ from numpy.typing import ArrayLike
 from loftscan import metrics, provenance
 from loftscan.findings import judge
 from loftscan.inputs import Input, Unit, judge_size, open_input
+from loftscan.methods import (
+    AnyReconstruction,
+    Course,
+    FitCourse,
+    Method,
+    PaperCourse,
+    Remedy,
+)
 from loftscan.progress import Progress, silent
 from loftscan.result import Result
 from reconstruction.arrays import FloatArray
 from reconstruction.cleanup import CleanupSettings
 from reconstruction.comparison import Deviation, compare_to_mesh
 from reconstruction.errors import TooFewPoints
+from reconstruction.fitting.curve import Exact
 from reconstruction.paper import PaperSettings
-from reconstruction.pipeline import Reconstruction, reconstruct_paper
 from reconstruction.reduction import Box
+from reconstruction.sections import Skipped
 from reconstruction.slices import Slice
 from reconstruction.slicing import PASSES, Cutting, cut_cloud
 from reconstruction.survey import Axis, Pass
@@ -31,12 +39,9 @@ from reconstruction.survey import Axis, Pass
 _SAMPLE = 200_000
 _MOST_INTERMEDIATE = 1000
 _LEAST_MM = 1e-9  # no length below the size of an atom is meant
-
-
-class Method(Enum):
-    """How sections are made."""
-
-    PAPER = "paper"
+_REMEDY = Remedy(
+    "choose a smaller --spacing-mm", "Try another --axis, --spacing-mm or --resolution-mm"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +56,7 @@ class Settings:
     tolerance_mm: float | None = None
     crop: Box | None = None
     intermediate: int = 0
+    exact: Exact = Exact.AUTO
     cleanup: CleanupSettings = field(default_factory=CleanupSettings)
 
     def __post_init__(self) -> None:
@@ -66,10 +72,28 @@ class Settings:
             raise ValueError(
                 f"--intermediate {self.intermediate}: 0 to {_MOST_INTERMEDIATE} rows are possible"
             )
+        self._check_method()
 
-    def paper(self) -> PaperSettings:
-        """What of it the paper's method asks for."""
-        return PaperSettings(resolution_mm=self.resolution_mm, intermediate=self.intermediate)
+    def _check_method(self) -> None:
+        """Refuse what the chosen method has no use for."""
+        fit = self.method is Method.FIT
+        useless = {
+            "--resolution-mm": fit and self.resolution_mm is not None,
+            "--intermediate": fit and self.intermediate > 0,
+            "--exact": not fit and self.exact is not Exact.AUTO,
+        }
+        for option, given in useless.items():
+            if given:
+                raise ValueError(
+                    f"{option}: means nothing to --method {self.method.value}; leave it out"
+                )
+
+    def course(self) -> Course:
+        """Begin a reconstruction by the method that was chosen."""
+        if self.method is Method.FIT:
+            return FitCourse(self.exact, self.cleanup)
+        paper = PaperSettings(resolution_mm=self.resolution_mm, intermediate=self.intermediate)
+        return PaperCourse(paper, self.cleanup)
 
     def said(self) -> dict[str, object]:
         """The settings as provenance.json says them."""
@@ -83,6 +107,7 @@ class Settings:
             "tolerance_mm": self.tolerance_mm,
             "crop_mm": str(crop) if crop else None,
             "intermediate": self.intermediate,
+            "exact": self.exact.value if self.method is Method.FIT else None,
             "remesh_edge_mm": self.cleanup.remesh_edge_mm,
             "decimate_to_faces": self.cleanup.decimate_to_faces,
         }
@@ -150,16 +175,18 @@ def _counted(opened: Input, progress: Progress) -> Pass:
 
 def _draw(
     slices: Iterator[Slice], count: int, settings: Settings, progress: Progress
-) -> Reconstruction:
-    drawn = reconstruct_paper(slices, settings.paper(), settings.cleanup)
-    for number, ready in enumerate(drawn, start=1):
-        if isinstance(ready, Reconstruction):
-            return ready
+) -> AnyReconstruction:
+    course, skipped = settings.course(), list[Skipped]()
+    for number, piece in enumerate(slices, start=1):
+        try:
+            course.draw(piece)
+        except TooFewPoints as few:
+            skipped.append(Skipped(piece.index, len(piece.points_mm), str(few)))
         progress("sections", number, count)
-    raise AssertionError("a pipeline ends with its reconstruction")
+    return course.finish(skipped, _REMEDY)
 
 
-def _compare(sample_mm: FloatArray, done: Reconstruction, settings: Settings) -> Deviation:
+def _compare(sample_mm: FloatArray, done: AnyReconstruction, settings: Settings) -> Deviation:
     return compare_to_mesh(sample_mm, done.mesh, tolerance_mm=settings.tolerance_mm)
 
 
@@ -167,7 +194,7 @@ def _conclude(
     title: str,
     opened: Input,
     cutting: Cutting,
-    done: Reconstruction,
+    done: AnyReconstruction,
     sample_mm: FloatArray,
     deviation: Deviation,
     settings: Settings,

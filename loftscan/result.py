@@ -6,29 +6,31 @@ import errno
 import json
 import os
 import shutil
+import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from loftscan.cad_files import CadWriter
+from loftscan.cad_files import CadWriter, SolidOrder
+from loftscan.methods import AnyReconstruction, AnySection
 from loftscan.sliced import Sliced
 from reconstruction.arrays import FloatArray
 from reconstruction.comparison import Deviation
 from reconstruction.errors import MissingExtra
 from reconstruction.exporting import (
     SectionRecord,
+    bodies_of,
     write_glb,
     write_ply,
     write_sections_json,
     write_stl,
     write_surface_json,
 )
+from reconstruction.fit_pipeline import FittedReconstruction
 from reconstruction.meshing import Mesh
 from reconstruction.nurbs import Surface
-from reconstruction.pipeline import Reconstruction
-from reconstruction.sections import Section
 
 FORMATS = ("step", "3dm", "stl", "ply", "glb")
 _LIBRARY_OF = {"step": "OCP", "3dm": "rhino3dm"}
@@ -39,6 +41,10 @@ _OURS = {
     *("metrics.json", "provenance.json", "comparison.json", "deviation.ply"),
 }
 _SIDECAR = "mesh.stl carries no unit; its coordinates are millimetres.\n"
+
+
+class NoSolid(UserWarning):
+    """The surfaces of a result are written, but they are no solid that CAD calls valid."""
 
 
 class OutputExists(ValueError):  # noqa: N818 (the house names errors after the fact)
@@ -54,7 +60,7 @@ class Result:
     """
 
     name: str
-    reconstruction: Reconstruction
+    reconstruction: AnyReconstruction
     cutting: Sliced  # a `Cutting` of a cloud, or what was `Gathered` from a scan
     sample_mm: FloatArray  # (k, 3) an even sample of the measured points used
     deviation: Deviation  # of that sample from the mesh
@@ -64,11 +70,11 @@ class Result:
 
     @property
     def surface(self) -> tuple[Surface, ...]:
-        """The tensor patches, one a run of sections of equal count."""
+        """The tensor patches: one a run of sections of equal count, or one a branch."""
         return self.reconstruction.patches
 
     @property
-    def sections(self) -> tuple[Section, ...]:
+    def sections(self) -> tuple[AnySection, ...]:
         """The sections, from the lowest up."""
         return self.reconstruction.sections
 
@@ -117,10 +123,12 @@ class Result:
     def _write_rest(self, folder: Path, formats: tuple[str, ...], cad: CadWriter) -> None:
         from loftscan.reporting import write_result_report
 
-        cad.write(folder, name=self.name)
+        cad.write(folder, name=self.name, solid=_solid_of(self.reconstruction))
         self._write_meshes(folder, formats)
         write_result_report(folder / "report.html", self)
-        cad.finish()
+        for reason in cad.finish():
+            message = f"surface.step holds open shells, no solid: {reason}"
+            warnings.warn(message, NoSolid, stacklevel=4)
 
     def _write_json_files(self, folder: Path) -> None:
         name, said = self.name, self.provenance
@@ -145,14 +153,27 @@ class Result:
                 index=section.index,
                 height_mm=section.height_mm,
                 frame=section.frame,
-                curve=section.curve,
-                gaps=section.gaps,
-                residual_rms_mm=section.residual.rms_mm if section.residual.count else None,
-                residual_max_mm=section.residual.max_mm if section.residual.count else None,
-                points=section.residual.count,
+                curve=drawn.curve,
+                gaps=drawn.gaps,
+                residual_rms_mm=drawn.residual_rms_mm if drawn.points else None,
+                residual_max_mm=drawn.residual_max_mm if drawn.points else None,
+                points=drawn.points,
             )
             for section in self.sections
+            for drawn in section.curves
         ]
+
+
+def _solid_of(done: AnyReconstruction) -> SolidOrder | None:
+    """How the surfaces of branches enclose the part; the paper's patches enclose nothing."""
+    if not isinstance(done, FittedReconstruction):
+        return None
+    bodies = bodies_of(done.skinned.skins)
+    return SolidOrder(
+        holes=tuple(body.hole for body in bodies),
+        closings=tuple(body.closing.value for body in bodies),
+        volume_mm3=done.cleaned.before.volume_mm3,
+    )
 
 
 def _write_json(path: Path, content: dict[str, object]) -> None:

@@ -211,7 +211,7 @@ def describe(curve: FittedCurve, depth: int) -> dict[str, object]:
         "outliers": curve.outliers,
         "band_95_median_mm": float(np.median(half_mm)),
         "band_95_max_mm": float(half_mm.max()),
-        "gaps": [list(gap) for gap in _gaps(curve)],
+        "gaps": [list(gap) for gap in curve.gap_intervals],
         "creases": list(curve.creases),
     }
 
@@ -256,13 +256,6 @@ def _centre(three: FloatArray) -> FloatArray:
     return np.asarray(three[0] + np.linalg.solve(2 * arms, (arms**2).sum(axis=1)))
 
 
-def _gaps(curve: FittedCurve) -> list[tuple[float, float]]:
-    """Intervals of u that no point supports; across a seam the end lies beyond the domain."""
-    start, end = curve.domain
-    turned = [(a, b if a < b else b + end - start) for a, b in curve.gaps if a != b]
-    return sorted(turned)
-
-
 def write_section(path: Path, piece: PlanarSlice, found: SectionFit, exact: Exact) -> None:
     """Write the curves in the format of sections.json, what is known of them as provenance."""
     records = [
@@ -271,7 +264,7 @@ def write_section(path: Path, piece: PlanarSlice, found: SectionFit, exact: Exac
             height_mm=piece.height_mm,
             frame=piece.frame,
             curve=curve.curve,
-            gaps=tuple(_gaps(curve)),
+            gaps=curve.gap_intervals,
             residual_rms_mm=curve.residual_rms_mm,
             residual_max_mm=curve.residual_max_mm,
             points=curve.points_used,

@@ -15,6 +15,7 @@ from loftscan import metrics, provenance
 from loftscan.findings import judge, judge_arrivals
 from loftscan.gathering import Gathered, Intake, coverage
 from loftscan.inputs import Unit
+from loftscan.methods import AnyReconstruction, AnySection, Remedy
 from loftscan.progress import Progress, silent
 from loftscan.reconstructing import Settings
 from loftscan.result import Result
@@ -22,11 +23,14 @@ from loftscan.scans import Absent, Arrival, Source
 from loftscan.stage_clock import StageClock
 from loftscan.updates import Finished, Fitted, Missed, Standing, Update
 from reconstruction.comparison import Deviation, compare_to_mesh
-from reconstruction.errors import NotLoftable, TooFewPoints
-from reconstruction.paper import Base, draw_section
-from reconstruction.pipeline import Reconstruction, loft, trim_ends
-from reconstruction.sections import Section, Skipped
+from reconstruction.errors import TooFewPoints
+from reconstruction.sections import Skipped
 from reconstruction.survey import Axis
+
+_REMEDY = Remedy(
+    "scan more slices",
+    "Look whether the sensor sees the part all round, or try another --resolution-mm",
+)
 
 
 def stream(
@@ -103,11 +107,11 @@ class _Run:
         self._clock = StageClock(time.perf_counter)
         self._intake = Intake(settings.crop)
         self._damages: list[str] = []
-        self._sections: list[Section] = []
+        self._course = settings.course()
+        self._sections: list[AnySection] = []
         self._skipped: list[Skipped] = []
         self._lags_s: list[float] = []
         self._appeared_s: list[float] = []
-        self._base: Base | None = None
         self._total: int | None = None
         self._done = 0
 
@@ -139,7 +143,7 @@ class _Run:
         self._clock.to("sections")
         seen, points = coverage(piece), len(piece.points_mm)
         try:
-            section, self._base = draw_section(piece, self._settings.paper(), self._base)
+            section = self._course.draw(piece)
         except TooFewPoints as few:
             self._skipped.append(Skipped(piece.index, points, str(few)))
             return Missed(piece.index, points, str(few), self._standing(seen, arrival))
@@ -161,7 +165,7 @@ class _Run:
     def _result(self) -> Result:
         self._clock.to("sections")
         gathered = self._gathered()
-        done = self._lofted()
+        done = self._course.finish(self._skipped, _REMEDY)
         self._clock.to("comparison")
         self._progress("comparison", 0, 1)
         deviation = compare_to_mesh(
@@ -171,7 +175,9 @@ class _Run:
         self._clock.to(None)
         return self._concluded(gathered, done, deviation)
 
-    def _concluded(self, gathered: Gathered, done: Reconstruction, deviation: Deviation) -> Result:
+    def _concluded(
+        self, gathered: Gathered, done: AnyReconstruction, deviation: Deviation
+    ) -> Result:
         numbers = metrics.gather(gathered, gathered, done, deviation)
         numbers |= metrics.of_scan(gathered) | metrics.lag(self._lags_s, self._appeared_s)
         numbers |= metrics.resources(self._clock.seconds)
@@ -197,25 +203,3 @@ class _Run:
                 " scan to take them again"
             )
         raise TooFewPoints(f"{self._source.name}: no slice in it yet; scan first")
-
-    def _lofted(self) -> Reconstruction:
-        sections, trimmed = trim_ends(self._sections)
-        skipped = [*self._skipped, *trimmed]
-        if len(sections) < 2:
-            raise NotLoftable(
-                _explain(sections, skipped), indices=tuple(each.index for each in sections)
-            )
-        return loft(sections, skipped, self._settings.paper(), self._settings.cleanup)
-
-
-def _explain(sections: list[Section], skipped: list[Skipped]) -> str:
-    found = (
-        f"{len(sections)} of {len(sections) + len(skipped)} slices gave a section, two are needed"
-    )
-    if not skipped:
-        return f"{found}: scan more slices"
-    fullest = max(skipped, key=lambda each: each.points)
-    return (
-        f"{found}; slice {fullest.index}: {fullest.reason}. Look whether the sensor sees the part"
-        " all round, or try another --resolution-mm"
-    )

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
+from loftscan.methods import AnySection, mesh_so_far
 from loftscan.result import Result
-from reconstruction.lofting import lay_rows, loft_run, split_runs
-from reconstruction.meshing import Mesh, mesh_rows
-from reconstruction.sections import Section
+from reconstruction.meshing import Mesh
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,9 +23,9 @@ class Standing:
 class Fitted:
     """A slice became a section."""
 
-    section: Section
+    section: AnySection
     standing: Standing
-    sections: tuple[Section, ...]  # all so far, this one last
+    sections: tuple[AnySection, ...]  # all so far, this one last
 
     @property
     def index(self) -> int:
@@ -36,16 +33,12 @@ class Fitted:
         return self.section.index
 
     def mesh(self) -> Mesh | None:
-        """The mesh of the sections so far, closed by a cap wherever they end; None for one section.
+        """The mesh of the sections so far, closed wherever they end; None for one section.
 
         Made when it is asked for, in time that grows with the sections: not for every update of a
         long scan.
         """
-        if len(self.sections) < 2:
-            return None
-        runs = split_runs(self.sections)
-        rows = lay_rows(runs, [loft_run(run) for run in runs], intermediate=0)
-        return mesh_rows(rows, np.asarray(self.sections[0].frame.axes[:2]))
+        return mesh_so_far(self.sections)
 
 
 @dataclass(frozen=True, slots=True)

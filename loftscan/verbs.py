@@ -15,8 +15,9 @@ from acquisition.scanfile import ScanFolder
 from loftscan.comparing import Comparison, compare_things
 from loftscan.following import PATIENCE_S, FollowedScan, KeptScan
 from loftscan.inputs import Unit
+from loftscan.methods import Method
 from loftscan.progress import Progress, silent
-from loftscan.reconstructing import Method, Settings, reconstruct_with
+from loftscan.reconstructing import Settings, reconstruct_with
 from loftscan.result import Result
 from loftscan.scans import GivenSlices, GivenSweeps, Source, Sweeps, is_scan
 from loftscan.streaming import finish, stream
@@ -24,6 +25,7 @@ from loftscan.updates import Update
 from loftscan.warming import warm_up
 from reconstruction.cleanup import CleanupSettings
 from reconstruction.comparison import Align
+from reconstruction.fitting.curve import Exact
 from reconstruction.reduction import Box
 from reconstruction.slices import Slice
 from reconstruction.survey import Axis
@@ -34,7 +36,8 @@ def reconstruct(
     *,
     axis: Literal["x", "y", "z"] = "z",
     unit: Literal["mm", "cm", "m", "um", "inch"] = "mm",
-    method: Literal["paper"] = "paper",
+    method: Literal["paper", "fit"] = "paper",
+    exact: Literal["auto", "never"] = "auto",
     spacing_mm: float | None = None,
     resolution_mm: float | None = None,
     tolerance_mm: float | None = None,
@@ -56,15 +59,19 @@ def reconstruct(
     unit
         Of a cloud's coordinates; everything after is in mm.
     method
-        ``"paper"``, the method of the paper.
+        ``"paper"``, the method of the paper, or ``"fit"``: curves fitted to the raw points of every
+        slice, and one surface a branch through all of them.
+    exact
+        Of ``"fit"``: whether circles and the like are returned as such where the points prefer it.
     spacing_mm, resolution_mm
-        Distance between slices (of a cloud only), and side of a cell; by default found from it.
+        Distance between slices (of a cloud only), and side of a cell (of ``"paper"`` only); by
+        default found from the points.
     tolerance_mm
         Judge the points by this distance from the mesh.
     crop_mm
         Low and high corner, ((x, y, z), (x, y, z)): only points in between are used.
     intermediate
-        Rows of the mesh between two sections.
+        Rows of the mesh between two sections, of ``"paper"`` only.
     remesh_edge_mm, decimate_to_faces
         Remesh to this edge length, or decimate to so many faces, with pymeshlab.
     progress
@@ -86,6 +93,7 @@ def reconstruct(
         tolerance_mm=tolerance_mm,
         crop=None if crop_mm is None else _box(crop_mm),
         intermediate=intermediate,
+        exact=Exact(exact),
         cleanup=CleanupSettings(remesh_edge_mm=remesh_edge_mm, decimate_to_faces=decimate_to_faces),
     )
     slices = _slices_in(source)
@@ -99,6 +107,8 @@ def reconstruct_stream(
     *,
     kinematics: Kinematics | None = None,
     name: str | None = None,
+    method: Literal["paper", "fit"] = "paper",
+    exact: Literal["auto", "never"] = "auto",
     resolution_mm: float | None = None,
     tolerance_mm: float | None = None,
     crop_mm: Sequence[Sequence[float]] | None = None,
@@ -141,10 +151,12 @@ def reconstruct_stream(
         For an argument that cannot be meant.
     """
     settings = Settings(
+        method=Method(method),
         resolution_mm=resolution_mm,
         tolerance_mm=tolerance_mm,
         crop=None if crop_mm is None else _box(crop_mm),
         intermediate=intermediate,
+        exact=Exact(exact),
         cleanup=CleanupSettings(remesh_edge_mm=remesh_edge_mm, decimate_to_faces=decimate_to_faces),
     )
     slices = _coming(source, kinematics, patience_s)

@@ -16,8 +16,10 @@ from reconstruction.arrays import FloatArray, IntArray
 _BUCKETS_A_SEGMENT = 4
 
 
-def polygon_distances(points_mm: FloatArray, polygon_mm: FloatArray) -> FloatArray:
-    """Distance of every point to the closed polygon, negative on the left of its way.
+def polygon_distances(
+    points_mm: FloatArray, polygon_mm: FloatArray, *, closed: bool = True
+) -> FloatArray:
+    """Distance of every point to the polygon, negative on the left of its way.
 
     A polygon that runs counter-clockwise has its inside on the left: inside is negative.
 
@@ -25,7 +27,9 @@ def polygon_distances(points_mm: FloatArray, polygon_mm: FloatArray) -> FloatArr
     ----------
     points_mm : (n, 2)
     polygon_mm : (m, 2), m >= 2
-        Corners in order; the last one is joined to the first.
+        Corners in order.
+    closed
+        Whether the last one is joined to the first.
 
     Returns
     -------
@@ -37,15 +41,17 @@ def polygon_distances(points_mm: FloatArray, polygon_mm: FloatArray) -> FloatArr
     edge = math.sqrt(float(sides[0] * sides[1]) / (_BUCKETS_A_SEGMENT * len(corners)))
     edge = max(edge, float(sides.max()) / 1024)
     shape = np.maximum(1, np.ceil(sides / edge)).astype(np.int64)
-    starts, filed = _file_segments(corners, low, edge, shape)
+    segments = len(corners) - (not closed)
+    starts, filed = _file_segments(corners, segments, low, edge, shape)
     distances = np.empty(len(points_mm))
-    _measure(np.ascontiguousarray(points_mm), corners, low, edge, shape, starts, filed, distances)
+    points = np.ascontiguousarray(points_mm)
+    _measure(points, corners, segments, low, edge, shape, starts, filed, distances)
     return distances
 
 
 @njit(cache=True)
 def _file_segments(
-    corners: FloatArray, low: FloatArray, edge: float, shape: IntArray
+    corners: FloatArray, segments: int, low: FloatArray, edge: float, shape: IntArray
 ) -> tuple[IntArray, IntArray]:
     """Segments by bucket, compressed: bucket b holds ``filed[starts[b]:starts[b + 1]]``."""
     starts = np.zeros(shape[0] * shape[1] + 1, np.int64)
@@ -53,7 +59,7 @@ def _file_segments(
         if not counting:
             filed = np.empty(starts[-1], np.int64)
             cursors = starts[:-1].copy()
-        for k in range(len(corners)):
+        for k in range(segments):
             a, b = corners[k], corners[(k + 1) % len(corners)]
             i0 = _bucket(min(a[0], b[0]), low[0], edge, shape[0])
             i1 = _bucket(max(a[0], b[0]), low[0], edge, shape[0])
@@ -80,6 +86,7 @@ def _bucket(value: float, low: float, edge: float, count: int) -> int:
 def _measure(
     points: FloatArray,
     corners: FloatArray,
+    segments: int,
     low: FloatArray,
     edge: float,
     shape: IntArray,
@@ -112,7 +119,7 @@ def _measure(
             if best <= away + (ring * edge) ** 2:
                 break
             ring += 1
-        distances[n] = math.sqrt(best) * _side(x, y, corners, nearest)
+        distances[n] = math.sqrt(best) * _side(x, y, corners, segments, nearest)
 
 
 @njit(cache=True)
@@ -127,17 +134,18 @@ def _square_to_segment(x: float, y: float, corners: FloatArray, k: int) -> float
 
 
 @njit(cache=True)
-def _side(x: float, y: float, corners: FloatArray, k: int) -> float:
+def _side(x: float, y: float, corners: FloatArray, segments: int, k: int) -> float:
     """-1 on the left of segment k, +1 on its right; at a corner the bend of both decides."""
     count = len(corners)
+    is_first, is_last = k == 0 and segments < count, k == segments - 1 and segments < count
     a, b = corners[k], corners[(k + 1) % count]
     ux, uy = b[0] - a[0], b[1] - a[1]
     share = (x - a[0]) * ux + (y - a[1]) * uy
     vx, vy = ux, uy
     px, py = a[0], a[1]
-    if share <= 0.0:
+    if share <= 0.0 and not is_first:
         vx, vy = _bisect(_way(corners, k - 1, -1), _way(corners, k, 1))
-    elif share >= ux * ux + uy * uy:
+    elif share >= ux * ux + uy * uy and not is_last:
         vx, vy = _bisect(_way(corners, k, -1), _way(corners, k + 1, 1))
         px, py = b[0], b[1]
     return -1.0 if vx * (y - py) - vy * (x - px) > 0.0 else 1.0

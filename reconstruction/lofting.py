@@ -14,7 +14,7 @@ import numpy as np
 from reconstruction.arrays import BoolArray, FloatArray
 from reconstruction.correspondence import counts_between
 from reconstruction.errors import NotLoftable
-from reconstruction.meshing import Row
+from reconstruction.meshing import Mesh, Row, mesh_rows
 from reconstruction.nurbs import Surface, evaluate_surface, loft_sections
 from reconstruction.reknotting import reknot
 from reconstruction.sections import Section
@@ -84,6 +84,13 @@ def lay_rows(
                 rows.extend(_rows_on(patch, before, after, intermediate))
             rows.append(_row(after))
     return rows
+
+
+def mesh_sections(sections: Sequence[Section]) -> Mesh:
+    """Mesh two sections or more, closed by a cap at either end."""
+    runs = split_runs(sections)
+    rows = lay_rows(runs, [loft_run(run) for run in runs], intermediate=0)
+    return mesh_rows(rows, np.asarray(sections[0].frame.axes[:2]))
 
 
 def _row(section: Section) -> Row:

@@ -31,7 +31,7 @@ from reconstruction.ordering import Contour, Walk, walk_contour
 from reconstruction.reduction import Box, bounding_box, reduce_points
 from reconstruction.reknotting import map_gaps, measure_lengths, reknot
 from reconstruction.resolution import Resolution, choose_resolution
-from reconstruction.sections import Section, Skipped, measure_residual
+from reconstruction.sections import Section, Skipped, lift_curve, measure_residual
 from reconstruction.slices import Frame, Slice
 from reconstruction.thickness import Thickness, estimate_thickness
 
@@ -130,7 +130,7 @@ def draw_section(piece: Slice, settings: PaperSettings, base: Base | None) -> tu
         thickness=thickness,
         resolution=resolution,
         contour=contour,
-        curve=_lift(final, frame),
+        curve=lift_curve(final, frame),
         knot_points_mm=frame.to_part(evaluate_curve(final, np.arange(count, dtype=np.float64))),
         synthetic=_mark(count, gaps),
         gaps=gaps,
@@ -244,11 +244,6 @@ def _distances(planar_mm: FloatArray, curve: Curve) -> FloatArray:
     steps = _STEPS_A_SPAN * len(curve.control_points_mm)
     parameters = np.linspace(start, end, steps, endpoint=False)
     return polygon_distances(planar_mm, evaluate_curve(curve, parameters))
-
-
-def _lift(curve: Curve, frame: Frame) -> Curve:
-    points = frame.to_part(curve.control_points_mm)
-    return Curve(curve.degree, curve.knots, points, curve.weights, curve.periodic)
 
 
 def _mark(count: int, gaps: tuple[tuple[float, float], ...]) -> BoolArray:

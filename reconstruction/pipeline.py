@@ -8,6 +8,7 @@ from functools import reduce
 
 import numpy as np
 
+from reconstruction.arrays import FloatArray
 from reconstruction.cleanup import Cleaned, CleanupSettings, clean
 from reconstruction.errors import NotLoftable
 from reconstruction.lofting import lay_rows, loft_run, split_runs
@@ -31,6 +32,12 @@ class Reconstruction:
     runs: tuple[tuple[int, ...], ...]  # section indices of each run, runs without a patch too
     mesh: Mesh  # closed, cleaned
     cleaned: Cleaned  # what the cleanup did and found
+
+    @property
+    def cap_heights_mm(self) -> FloatArray:
+        """Heights along the stacking normal at which flat caps close the part."""
+        ends = (self.sections[0].frame, self.sections[-1].frame)
+        return np.array([frame.origin_mm @ frame.axes[2] for frame in ends])
 
     @property
     def residual(self) -> Residual:

@@ -72,6 +72,23 @@ def measure_residual(distances_mm: FloatArray, *, range_mm: float) -> Residual:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class SectionCurve:
+    """One curve of a section as it is handed over, and what it stands for."""
+
+    curve: Curve  # 3D, in the part frame
+    gaps: tuple[tuple[float, float], ...]  # as in `exporting.SectionRecord`
+    residual_rms_mm: float
+    residual_max_mm: float
+    points: int  # that the residuals are of
+
+
+def lift_curve(curve: Curve, frame: Frame) -> Curve:
+    """Turn a curve in a cutting plane into one in the part frame."""
+    points = frame.to_part(curve.control_points_mm)
+    return Curve(curve.degree, curve.knots, points, curve.weights, curve.periodic)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Section:
     """One slice's contour as a closed NURBS curve, with its knot points and its residual."""
 
@@ -98,6 +115,27 @@ class Section:
         object.__setattr__(self, "knot_points_mm", frozen(self.knot_points_mm))
         object.__setattr__(self, "synthetic", frozen(self.synthetic, np.bool_))
         object.__setattr__(self, "left_out_mm", frozen(self.left_out_mm))
+
+    @property
+    def curves(self) -> tuple[SectionCurve, ...]:
+        """Its one curve, with what it stands for."""
+        near = self.residual
+        return (SectionCurve(self.curve, self.gaps, near.rms_mm, near.max_mm, near.count),)
+
+    @property
+    def closed(self) -> bool:
+        """Whether the contour was closed without being bridged."""
+        return self.contour.closed
+
+    @property
+    def width_mm(self) -> float:
+        """Thickness of the cloud, 4 sigma."""
+        return self.thickness.width_mm
+
+    @property
+    def radius_mm(self) -> float:
+        """Local radius of curvature."""
+        return self.thickness.radius_mm
 
 
 @dataclass(frozen=True, slots=True)

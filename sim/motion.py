@@ -75,7 +75,7 @@ class Trajectory:
     def speed(self, time_s: float) -> float:
         """How fast it moves, signed."""
         left_s = time_s - self.begun_s
-        if left_s < 0.0:
+        if left_s < 0.0 or self.done(time_s):  # the phases' own sum may be a rounding longer
             return 0.0
         for phase in self.phases:
             if left_s < phase.seconds:
@@ -106,7 +106,7 @@ def move(start: float, target: float, limits: Limits, begun_s: float) -> Traject
 def stop(way: Trajectory, acceleration: float, time_s: float) -> Trajectory:
     """Leave a trajectory at `time_s` and slow down; a finished one stays where it ended."""
     here, speed = way.position(time_s), way.speed(time_s)
-    if speed == 0.0:
+    if time_s + abs(speed) / acceleration == time_s:  # at rest, or in less than a tick
         return Trajectory(time_s, here, here)
     phase = _Phase(abs(speed) / acceleration, speed, -math.copysign(acceleration, speed))
     return Trajectory(time_s, here, here + phase.travel(phase.seconds), (phase,))

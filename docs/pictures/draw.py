@@ -13,6 +13,7 @@ import numpy as np
 from noisy_vase import make_cloud
 
 from loftscan import reconstruct
+from loftscan.picturing import polylines, synthetic_faces
 from loftscan.rendering import (
     Edges,
     MeshLayer,
@@ -23,7 +24,6 @@ from loftscan.rendering import (
     encode_png,
     render_scene,
 )
-from loftscan.reporting import polyline, synthetic_faces
 
 SIZE_PX = (520, 620)
 CLAY, BRIDGED, POINT = (196, 203, 212), (226, 140, 45), (70, 120, 172)
@@ -34,7 +34,7 @@ def main() -> None:
     result = reconstruct(make_cloud())
     camera = camera_around(result.mesh.vertices_mm, azimuth_rad=math.radians(10), zoom=1.12)
     colours = np.where(synthetic_faces(result)[:, None], BRIDGED, CLAY).astype(np.uint8)
-    lines = tuple(polyline(section) for section in result.sections[::2])
+    lines = tuple(line for section in result.sections[::2] for line in polylines(section))
     ramp = mpl.colormaps["viridis"](np.linspace(0.0, 0.85, len(lines)), bytes=True)[:, :3]
     scenes = (
         Scene(points=(PointLayer(result.sample_mm, POINT, 1.1),)),

@@ -18,7 +18,7 @@ import numpy as np
 
 from loftscan.figures import png
 from loftscan.inputs import Unit, open_input
-from loftscan.section_view import fitted_figure
+from loftscan.section_view import fitted_figure, view_fit
 from reconstruction.arrays import FloatArray
 from reconstruction.fitting.curve import FittedCurve
 from reconstruction.fitting.section import resolve_section
@@ -69,7 +69,9 @@ def draw(name: str, cutting: Cutting) -> None:
         points = planar(cutting.slice_at(index))
         found = resolve_section(points)
         title = f"{name}, slice {index}: {tally(found.curves)}"
-        picture = png(fitted_figure(points, found, title=title), dots_per_inch=DOTS_PER_INCH)
+        picture = png(
+            fitted_figure(view_fit(points, found), title=title), dots_per_inch=DOTS_PER_INCH
+        )
         (HERE / f"{Path(name).stem}-{index:03d}.png").write_bytes(picture)
         sys.stdout.write(f"{title}, {len(found.strays)} of {len(points)} points stray\n")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -45,8 +46,14 @@ def save(
     overwrite: bool,
 ) -> None:
     """Write the result folder, told as progress."""
+    from loftscan.result import NoSolid
+
     progress("saving", 0, 1)
-    result.save(out, formats=formats, overwrite=overwrite, cad=cad)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", NoSolid)
+        result.save(out, formats=formats, overwrite=overwrite, cad=cad)
+    for each in caught:
+        typer.echo(f"warning: {each.message}", err=True)
     progress("saving", 1, 1)
 
 

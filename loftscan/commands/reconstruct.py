@@ -43,20 +43,29 @@ def reconstruct(
     patience_s: Annotated[
         float, typer.Option(help="With --follow: seconds to wait for the scan to begin.", min=0.0)
     ] = 60.0,
-    method: Annotated[str, typer.Option(help="How sections are made: paper.")] = "paper",
+    method: Annotated[
+        str, typer.Option(help="How sections and surface are made: paper or fit.")
+    ] = "paper",
     axis: Annotated[str, typer.Option(help="Stacking axis: x, y or z.")] = "z",
     unit: UnitName = "mm",
     spacing_mm: Annotated[
         float | None, typer.Option(help="Distance between slices; by default found.")
     ] = None,
     resolution_mm: Annotated[
-        float | None, typer.Option(help="Side of a cell; by default the paper's rule.")
+        float | None,
+        typer.Option(help="Side of a cell, method paper; by default the paper's rule."),
     ] = None,
+    exact: Annotated[
+        str,
+        typer.Option(help="Circles and the like as such, method fit: auto or never."),
+    ] = "auto",
     tolerance_mm: Tolerance = None,
     crop: Annotated[
         str | None, typer.Option(help="Use only this box, in mm: xmin,xmax,ymin,ymax,zmin,zmax.")
     ] = None,
-    intermediate: Annotated[int, typer.Option(help="Mesh rows between two sections.")] = 0,
+    intermediate: Annotated[
+        int, typer.Option(help="Mesh rows between sections, method paper.")
+    ] = 0,
     remesh_mm: Annotated[float | None, typer.Option(help="Remesh to this edge length.")] = None,
     decimate_faces: Annotated[
         int | None, typer.Option(help="Decimate the mesh to so many faces.")
@@ -74,7 +83,7 @@ def reconstruct(
 
         settings = _settings(
             method, axis, unit, spacing_mm, resolution_mm, tolerance_mm, crop, intermediate,
-            remesh_mm, decimate_faces,
+            exact, remesh_mm, decimate_faces,
         )  # fmt: skip
         # Refused before the work, not after it.
         wanted = writable_formats(formats)
@@ -156,12 +165,15 @@ def _settings(
     tolerance_mm: float | None,
     crop: str | None,
     intermediate: int,
+    exact: str,
     remesh_mm: float | None,
     decimate_faces: int | None,
 ) -> Settings:
     from loftscan.inputs import Unit, parse_crop
-    from loftscan.reconstructing import Method, Settings
+    from loftscan.methods import Method
+    from loftscan.reconstructing import Settings
     from reconstruction.cleanup import CleanupSettings
+    from reconstruction.fitting.curve import Exact
     from reconstruction.survey import Axis
 
     if remesh_mm is not None and not 0.0 < remesh_mm < math.inf:
@@ -177,5 +189,6 @@ def _settings(
         tolerance_mm=tolerance_mm,
         crop=None if crop is None else parse_crop(crop),
         intermediate=intermediate,
+        exact=choice(Exact, exact, "--exact"),
         cleanup=CleanupSettings(remesh_edge_mm=remesh_mm, decimate_to_faces=decimate_faces),
     )

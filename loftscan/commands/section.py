@@ -78,7 +78,7 @@ def _check(out: Path, *, overwrite: bool) -> None:
 
 def _save(out: Path, piece: PlanarSlice, found: SectionFit, exact: Exact) -> None:
     from loftscan.figures import png
-    from loftscan.section_view import fitted_figure
+    from loftscan.section_view import fitted_figure, view_fit
     from loftscan.sectioning import write_section
     from reconstruction.exporting.atomic import replacing
 
@@ -87,7 +87,7 @@ def _save(out: Path, piece: PlanarSlice, found: SectionFit, exact: Exact) -> Non
     if picture != out:
         write_section(out / _FILES[1], piece, found, exact)
     with replacing(picture) as file:
-        file.write(png(fitted_figure(piece.points_mm, found, title=piece.name)))
+        file.write(png(fitted_figure(view_fit(piece.points_mm, found), title=piece.name)))
 
 
 def _tell(piece: PlanarSlice, found: SectionFit, out: Path | None) -> None:

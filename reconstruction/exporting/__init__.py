@@ -4,12 +4,15 @@ r"""Files that other programs open: the NURBS as JSON, STEP, IGES, 3DM; the mesh
 
     surface_json  sections_json       step  iges           threedm       meshes
           \        /                    \    /                |             |
-          documents                     brep (Open CASCADE)   |             |
-               \__________ knots _________/___________________/             |
+          documents                 solids (checked)          |             |
+               |                      |      \_____ bodies ___|             |
+               |                    brep (Open CASCADE)       |             |
+               \__________ knots _____/_______________________/             |
           provenance, atomic: under all of them ____________________________/
 """
 
-from reconstruction.exporting.iges import write_iges
+from reconstruction.exporting.bodies import Body, Closing, bodies_of, flat_caps
+from reconstruction.exporting.iges import write_iges, write_iges_solid
 from reconstruction.exporting.meshes import write_glb, write_ply, write_stl
 from reconstruction.exporting.sections_json import (
     SectionRecord,
@@ -17,7 +20,8 @@ from reconstruction.exporting.sections_json import (
     sections_document,
     write_sections_json,
 )
-from reconstruction.exporting.step import read_step, write_step
+from reconstruction.exporting.solids import Solidity
+from reconstruction.exporting.step import read_step, write_step, write_step_solid
 from reconstruction.exporting.surface_json import (
     read_surface_json,
     surface_document,
@@ -26,7 +30,12 @@ from reconstruction.exporting.surface_json import (
 from reconstruction.exporting.threedm import read_threedm, write_threedm
 
 __all__ = [
+    "Body",
+    "Closing",
     "SectionRecord",
+    "Solidity",
+    "bodies_of",
+    "flat_caps",
     "read_sections_json",
     "read_step",
     "read_surface_json",
@@ -35,9 +44,11 @@ __all__ = [
     "surface_document",
     "write_glb",
     "write_iges",
+    "write_iges_solid",
     "write_ply",
     "write_sections_json",
     "write_step",
+    "write_step_solid",
     "write_stl",
     "write_surface_json",
     "write_threedm",

@@ -102,7 +102,7 @@ def shells(surfaces: Sequence[Surface], *, sew_within_mm: float) -> tuple[Any, l
 
     faces = [BRepBuilderAPI_MakeFace(geometry(s), sew_within_mm).Face() for s in surfaces]
     if len(faces) == 1:
-        return _shell(faces[0]), faces
+        return shell_of(faces[0]), faces
     sewing = BRepBuilderAPI_Sewing(sew_within_mm)
     for face in faces:
         sewing.Add(face)
@@ -160,7 +160,8 @@ def _clamped(made: Any, surface: Surface, u: DistinctKnots, v: DistinctKnots) ->
     return made
 
 
-def _shell(face: Any) -> Any:  # noqa: ANN401
+def shell_of(face: Any) -> Any:  # noqa: ANN401
+    """A shell of one face."""
     from OCP.BRep import BRep_Builder
     from OCP.TopoDS import TopoDS_Shell
 

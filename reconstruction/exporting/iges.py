@@ -10,7 +10,9 @@ from typing import Any
 
 from reconstruction.exporting import provenance as origins
 from reconstruction.exporting.atomic import replacing
+from reconstruction.exporting.bodies import Body
 from reconstruction.exporting.brep import require_open_cascade, shells, silence
+from reconstruction.exporting.solids import Solidity, assemble
 from reconstruction.nurbs.values import Surface
 
 
@@ -40,21 +42,60 @@ def write_iges(
     require_open_cascade()
     if not surfaces:
         raise ValueError(f"{path}: no patch to write")
-    from OCP.IGESControl import IGESControl_Controller, IGESControl_Writer
-
     with silence():
-        IGESControl_Controller.Init_s()
-        writer = IGESControl_Writer("MM", 0)
         shape, _ = shells(surfaces, sew_within_mm=sew_within_mm)
-        done = writer.AddShape(shape)
-        writer.ComputeModel()
-        _describe(writer.Model(), provenance)
-        _sign(writer.Model(), name, author, organisation, Path(path).name)
-        text = io.BytesIO()
-        if not (done and writer.Write(text)):
-            raise ValueError(f"{path}: Open CASCADE cannot write these patches")
+        text = _text_of(path, shape, name, provenance, author, organisation)
     with replacing(path) as file:
         file.write(text.getbuffer())
+
+
+def write_iges_solid(
+    path: Path | str,
+    bodies: Sequence[Body],
+    *,
+    name: str,
+    provenance: Mapping[str, object],
+    author: str = "",
+    organisation: str = "",
+    sew_within_mm: float = 1e-4,
+    volume_mm3: float | None = None,
+) -> Solidity:
+    """Write every face of a part's solids, flat caps too, as trimmed surfaces (entity 144).
+
+    The faces are those of `step.write_step_solid`, and so are the parameters, the errors and the
+    value returned. Readers sew them: the entities that hold solids are read by few programs.
+    """
+    require_open_cascade()
+    if not bodies:
+        raise ValueError(f"{path}: no body to write")
+    with silence():
+        made = assemble(bodies, sew_within_mm=sew_within_mm, volume_mm3=volume_mm3)
+        text = _text_of(path, made.shape, name, provenance, author, organisation)
+    with replacing(path) as file:
+        file.write(text.getbuffer())
+    return made.solidity
+
+
+def _text_of(
+    path: Path | str,
+    shape: Any,  # noqa: ANN401
+    name: str,
+    provenance: Mapping[str, object],
+    author: str,
+    organisation: str,
+) -> io.BytesIO:
+    from OCP.IGESControl import IGESControl_Controller, IGESControl_Writer
+
+    IGESControl_Controller.Init_s()
+    writer = IGESControl_Writer("MM", 0)
+    done = writer.AddShape(shape)
+    writer.ComputeModel()
+    _describe(writer.Model(), provenance)
+    _sign(writer.Model(), name, author, organisation, Path(path).name)
+    text = io.BytesIO()
+    if not (done and writer.Write(text)):
+        raise ValueError(f"{path}: Open CASCADE cannot write these patches")
+    return text
 
 
 def _describe(model: Any, provenance: Mapping[str, object]) -> None:  # noqa: ANN401

@@ -19,6 +19,7 @@ from reconstruction.arrays import FloatArray
 from reconstruction.errors import MissingExtra
 from reconstruction.exporting import provenance as origins
 from reconstruction.exporting.atomic import replacing
+from reconstruction.exporting.bodies import plane_of
 from reconstruction.exporting.knots import clamped, distinct
 from reconstruction.nurbs.values import Curve, Surface
 
@@ -34,6 +35,7 @@ def write_threedm(
     surfaces: Sequence[Surface],
     curves: Sequence[Curve] = (),
     *,
+    caps: Sequence[Curve] = (),
     name: str,
     provenance: Mapping[str, object],
 ) -> None:
@@ -45,6 +47,9 @@ def write_threedm(
         Final name; the file appears whole or not at all.
     curves
         In the part frame: three coordinates a control point.
+    caps
+        Closed flat curves, each the border of a trimmed plane beside the patches
+        (`bodies.flat_caps`).
     provenance
         Goes to the start section comments and to the document's user text.
 
@@ -53,7 +58,7 @@ def write_threedm(
     MissingExtra
         rhino3dm is not installed.
     ValueError
-        A planar curve, or a knot more multiple than the degree allows.
+        A planar curve, a cap that is not flat, or a knot more multiple than the degree allows.
     OSError
         The file cannot be written.
     """
@@ -66,6 +71,9 @@ def write_threedm(
     for index, surface in enumerate(surfaces):
         attributes = _attributes(rhino, f"{name} patch {index}", layer)
         model.Objects.AddSurface(_nurbs_surface(rhino, surface), attributes)
+    for index, border in enumerate(caps):
+        attributes = _attributes(rhino, f"{name} cap {index}", layer)
+        model.Objects.AddBrep(_trimmed_plane(rhino, index, border), attributes)
     layer = _layer(model, "sections", _ORANGE)
     for index, curve in enumerate(curves):
         attributes = _attributes(rhino, f"{name} section {index}", layer)
@@ -165,6 +173,15 @@ def _nurbs_curve(rhino: Any, curve: Curve) -> Any:  # noqa: ANN401
     _set_knots(made.Knots, knots)
     for index, point in enumerate(points.tolist()):
         made.Points[index] = rhino.Point4d(*point)
+    return made
+
+
+def _trimmed_plane(rhino: Any, index: int, border: Curve) -> Any:  # noqa: ANN401
+    place, normal, _ = plane_of(border)
+    plane = rhino.Plane(rhino.Point3d(*place.tolist()), rhino.Vector3d(*normal.tolist()))
+    made = rhino.Brep.CreateTrimmedPlane(plane, _nurbs_curve(rhino, border))
+    if made is None:
+        raise ValueError(f"3DM: cap {index}: openNURBS finds no closed flat curve in its border")
     return made
 
 

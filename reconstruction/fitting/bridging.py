@@ -23,7 +23,6 @@ from reconstruction.fitting.thinning import Row
 _TANGENT = 5.0  # reaches: the stretch of a run that tells the direction of its end
 _TOUCHING = 2.0  # reaches: so near, the way from end to end has no direction either
 _IN_LINE = 3.0  # standard deviations aside that ends which touch may be, and lie in line
-_AN_S = 3.5  # times its angle: what the turn of an S amounts to
 _TIP = math.radians(90.0)  # what the turn in a tip counts as
 _AHEAD_OF = math.cos(math.radians(30.0))  # a tip lies ahead of the other end, ...
 _ALIKE = math.cos(math.radians(45.0))  # ... which leads the same way, ...
@@ -71,7 +70,7 @@ def ends_of(rows: list[Row]) -> Ends:
     return Ends(
         np.array([2 * n + side for n, side in sides], np.int64),
         np.array([rows[n].nodes[-side] for n, side in sides]).reshape(-1, 2),
-        np.array([_outward(rows[n], side) for n, side in sides]).reshape(-1, 2),
+        np.array([outward(rows[n], side) for n, side in sides]).reshape(-1, 2),
         np.array([rows[n].reach[-side] for n, side in sides]),
         np.array([rows[n].sigma[-side] for n, side in sides]),
     )
@@ -110,10 +109,16 @@ def _cheapest(costs: FloatArray) -> IntArray:
 def _abreast(
     one: FloatArray, arm: FloatArray, other: FloatArray, lengths: FloatArray, within: FloatArray
 ) -> FloatArray:
-    """The turn between ends that touch: their own, and what it takes to get in line."""
-    aside = np.maximum(_offset(one, arm), _offset(other, arm)) - within
-    angle = np.arcsin(np.clip(aside / np.maximum(lengths, 1e-300), 0.0, 1.0))
-    return np.maximum(np.abs(_angles(one, -other)), _AN_S * angle)
+    """The turn between ends that touch: their own, and what it takes to get in line.
+
+    An end that lies aside of the other by no more than that does lie in line, also a bit behind it.
+    """
+    a, b = (
+        np.sign(aside) * np.arcsin(np.clip((np.abs(aside) - within) / far, 0.0, 1.0))
+        for far in (np.maximum(lengths, 1e-300),)
+        for aside in (_aside(one, arm), _aside(arm, -other))
+    )
+    return np.maximum(np.abs(_angles(one, -other)), _bent(a, b))
 
 
 def _tips(rows: list[Row], ends: Ends, arms: FloatArray, lengths: FloatArray) -> BoolArray:
@@ -137,20 +142,23 @@ def _tips(rows: list[Row], ends: Ends, arms: FloatArray, lengths: FloatArray) ->
     return tips
 
 
-def _offset(tangent: FloatArray, arm: FloatArray) -> FloatArray:
-    """How far an arm leads aside."""
-    return np.abs(tangent[..., 0] * arm[..., 1] - tangent[..., 1] * arm[..., 0])
+def _aside(one: FloatArray, other: FloatArray) -> FloatArray:
+    """How far one arm leads aside of the other, a unit vector; counter-clockwise is positive."""
+    return np.asarray(one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0])
 
 
 def _turns(one: FloatArray, arm: FloatArray, other: FloatArray) -> FloatArray:
     """How hard bridges turn that leave along `one` and arrive against `other`."""
-    a, b = _angles(one, arm), _angles(arm, -other)
+    return _bent(_angles(one, arm), _angles(arm, -other))
+
+
+def _bent(a: FloatArray, b: FloatArray) -> FloatArray:
+    """The turn of a cubic with such angles to its chord."""
     return np.asarray(2.0 * np.sqrt(np.maximum(a * a - a * b + b * b, 0.0)))
 
 
 def _angles(one: FloatArray, other: FloatArray) -> FloatArray:
-    turned = one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
-    return np.arctan2(turned, one[..., 0] * other[..., 0] + one[..., 1] * other[..., 1])
+    return np.arctan2(_aside(one, other), one[..., 0] * other[..., 0] + one[..., 1] * other[..., 1])
 
 
 def way_of(ends: Ends, bridge: Bridge) -> FloatArray:
@@ -167,7 +175,7 @@ def way_of(ends: Ends, bridge: Bridge) -> FloatArray:
     return np.asarray(way)
 
 
-def _outward(row: Row, side: int) -> FloatArray:
+def outward(row: Row, side: int) -> FloatArray:
     """Unit tangent out of an end, 0 the first: of a parabola through the last few reaches."""
     nodes = row.nodes if side == 0 else row.nodes[::-1]
     back = np.concatenate([[0.0], np.linalg.norm(np.diff(nodes, axis=0), axis=1).cumsum()])

@@ -75,6 +75,9 @@ class _Site:
         for bridge in self.bridges:
             if bridge.one not in self.partner and bridge.other not in self.partner:
                 self._build(bridge)
+        for bridge in self.bridges:
+            if self.partner.get(bridge.one) is bridge and self._is_bold(bridge):
+                del self.partner[bridge.one], self.partner[bridge.other]
 
     def joined(self) -> list[Joined]:
         """Rows end to end, and whether anything else would do for them."""
@@ -108,6 +111,22 @@ class _Site:
         way, ends = way_of(self.ends, bridge), (bridge.one, bridge.other)
         near = 2.0 * bridge.length if bridge.tip else self._near(*ends)
         return not self.walls.crossed_by(way, ends, near)
+
+    def _is_bold(self, bridge: Bridge) -> bool:
+        """Whether a bridge is carried too far to be taken before another that is nearly as good.
+
+        It is longer than a row it carries on, and a shorter one, hardly dearer, leads to an end
+        that is left over: nobody knows which of the two it is.
+        """
+        known = min(self.rows[end // 2].length for end in (bridge.one, bridge.other))
+        if bridge.touching or bridge.length <= known:
+            return False
+        return any(
+            rival.length < bridge.length and rival.cost < _RIVAL * bridge.cost and self._free(rival)
+            for rival in self.bridges
+            if len(left := {rival.one, rival.other} - {bridge.one, bridge.other}) == 1
+            and left.isdisjoint(self.partner)
+        )
 
     def _near(self, *ends: int) -> float:
         """So near their ends rows may be crossed: there nobody knows where they run."""

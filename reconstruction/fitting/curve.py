@@ -74,6 +74,13 @@ class FittedCurve:
         """Whether it runs back into its start."""
         return self.curve.closed
 
+    @property
+    def gap_intervals(self) -> tuple[tuple[float, float], ...]:
+        """The gaps in order; one that runs across the seam ends beyond the domain."""
+        start, end = self.domain
+        turned = [(a, b if a < b else b + end - start) for a, b in self.gaps if a != b]
+        return tuple(sorted(turned))
+
     def deviation_mm(self, u: ArrayLike) -> FloatArray:
         """Posterior standard deviation across the curve; (m,) -> (m,). 1.96 of it is the band."""
         start, end = self.domain

@@ -1,20 +1,21 @@
 """Pieces too short to have an order go to the chain that passes them.
 
 A piece lies on a chain if nearly all of it lies within the scatter of the chain's points, or of a
-bridge's way; on a long bridge there must be more than the strays of the slice explain.
+bridge's way; on a long bridge there must be more than the strays of the slice explain. A piece that
+lies straight ahead of an open end, and not far, is where the chain goes on after a hole.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
-from numba import njit
 
 from reconstruction.arrays import FloatArray, IntArray
+from reconstruction.fitting.bridging import outward
 from reconstruction.fitting.closing import Joined
 from reconstruction.fitting.crossing import ways_along
+from reconstruction.fitting.nearness import nearest_way
 from reconstruction.fitting.places import Places
 from reconstruction.fitting.scale import Order
 from reconstruction.fitting.thinning import Row
@@ -31,6 +32,17 @@ def gather(
     joined: list[Joined], order: Order, places: Places, chain_of_run: IntArray
 ) -> tuple[list[Joined], IntArray]:
     """Give loose pieces to the chains; the chain of each run is the same or that which got it."""
+    joined, found = _on_the_way(joined, order, places, chain_of_run)
+    for number, one in enumerate(joined):
+        for side in () if one.row.closed or one.row.exact else (0, 1):
+            joined[number] = one = _carried_on(one, side, number, order, places, found)
+    return joined, found
+
+
+def _on_the_way(
+    joined: list[Joined], order: Order, places: Places, chain_of_run: IntArray
+) -> tuple[list[Joined], IntArray]:
+    """Give pieces to the chains on whose rows and bridges they lie."""
     found, runs, counts = chain_of_run.copy(), order.runs, places.counts
     loose = (chain_of_run < 0) & ~order.patches
     if not loose.any() or not joined:
@@ -60,6 +72,40 @@ def gather(
         for number, one in enumerate(joined)
     ]
     return joined, found
+
+
+def _carried_on(
+    one: Joined, side: int, number: int, order: Order, places: Places, chain_of_run: IntArray
+) -> Joined:
+    """A chain with the loose pieces ahead of its first end, 0, or last, 1; they become its own."""
+    row, runs = one.row, order.runs
+    loose = (chain_of_run < 0) & ~order.patches
+    free = np.flatnonzero(np.append(loose, False)[runs.run_of_place])
+    tangent, reach = outward(row, side), float(row.reach[-side])
+    arms = places.at[free] - row.nodes[-side]
+    ahead, aside = arms @ tangent, np.abs(arms @ np.array([-tangent[1], tangent[0]]))
+    near = (ahead > 0.0) & (ahead <= _SHORT * reach)
+    near &= aside <= _FAR * row.sigma[-side] + _BENT * ahead
+    run, of = np.unique(runs.run_of_place[free], return_inverse=True)
+    taken = np.bincount(of, near, len(run)) >= _NEARLY_ALL * np.bincount(of, minlength=len(run))
+    taken &= np.bincount(of, places.counts[free], len(run)) >= _COMPANY
+    if not taken.any():
+        return one
+    chain_of_run[run[taken]] = number
+    far = float(ahead[near & taken[of]].max())
+    return _with_tip(one, side, row.nodes[-side] + far * tangent)
+
+
+def _with_tip(one: Joined, side: int, tip: FloatArray) -> Joined:
+    """A chain with one more node (2,) before its first, 0, or after its last, 1."""
+    row, every = one.row, np.arange(len(one.row.nodes))
+    like = np.append(every, every[-1:]) if side else np.append(every[:1], every)
+    nodes, bridge = row.nodes[like], one.bridge[like]
+    nodes[-side] = tip
+    bridge[-2 if side else 0] = 0.0
+    gaps = tuple(gap + 1 - side for gap in row.gaps)
+    row = replace(row, nodes=nodes, sigma=row.sigma[like], reach=row.reach[like], gaps=gaps)
+    return replace(one, row=row, bridge=bridge, put_together=True)
 
 
 def nearest_row(places: FloatArray, rows: list[Row]) -> IntArray:
@@ -94,23 +140,3 @@ class _Ways:
         self.chain = kinds[:, 0].astype(np.int64)
         self.short = kinds[:, 1] <= _SHORT * reach[first]
         self.tube = 2.0 * self.tolerance[first] * kinds[:, 1]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def nearest_way(
-    places: FloatArray, starts: FloatArray, arms: FloatArray
-) -> tuple[IntArray, FloatArray]:
-    """Nearest way of each place, and how far off it is."""
-    way, away = np.zeros(len(places), np.int64), np.empty(len(places))
-    for n in range(len(places)):
-        best = np.inf
-        for k in range(len(starts)):
-            x, y = places[n, 0] - starts[k, 0], places[n, 1] - starts[k, 1]
-            square = arms[k, 0] * arms[k, 0] + arms[k, 1] * arms[k, 1]
-            share = (x * arms[k, 0] + y * arms[k, 1]) / max(square, 1e-300)
-            share = min(max(share, 0.0), 1.0)
-            x, y = x - share * arms[k, 0], y - share * arms[k, 1]
-            if x * x + y * y < best:
-                best, way[n] = x * x + y * y, k
-        away[n] = math.sqrt(best)
-    return way, away

@@ -33,6 +33,7 @@ _FINE = 16  # places on a piece, a span: which piece a cell is nearest to, and r
 _LOST = 16.0  # squared deviations that a point set aside costs
 _MIXED_OFF = 3.5  # standard deviations: cells farther off, or thicker, hold both walls
 _LEAST_CELLS = 12  # of a piece
+_FINER = 2.0  # spans of a piece to one of the whole: what is left of bends is not seen by the whole
 _NEARLY = 0.2  # standard deviations: still enough to tell where pieces cross; ...
 _STILL = 0.02  # ... and to stay
 _DEAR = 4.0  # degrees of freedom that a corner must save
@@ -260,7 +261,9 @@ def _smoothed(
 
 
 def _trimmed(fit: Fit, start: float, end: float) -> FloatArray:
-    return reknotted(fit.control_mm, max(int(end - start), 4), closed=False, within=(start, end))
+    return reknotted(
+        fit.control_mm, max(int(_FINER * (end - start)), 4), closed=False, within=(start, end)
+    )
 
 
 def _corner(before: Piece, after: Piece) -> Corner | None:

@@ -24,6 +24,7 @@ from reconstruction.fitting.cells import Int32Array, bounds
 from reconstruction.fitting.chain import Chain
 from reconstruction.fitting.curve import Exact, FittedCurve
 from reconstruction.fitting.section_fit import fit_chain
+from reconstruction.fitting.solidity import as_of_a_solid
 from reconstruction.fitting.topology import UNORDERED, Topology, find_chains
 
 _LEAST = 4  # points
@@ -92,7 +93,11 @@ def require_curves(found: SectionFit, count: int) -> None:
 
 
 def resolve_section(
-    points_mm: ArrayLike, *, exact: Exact = Exact.AUTO, heights_mm: ArrayLike | None = None
+    points_mm: ArrayLike,
+    *,
+    exact: Exact = Exact.AUTO,
+    heights_mm: ArrayLike | None = None,
+    solid: bool = False,
 ) -> SectionFit:
     """Do what `fit_section` does, and say what became of every point; no curve is no error.
 
@@ -100,16 +105,20 @@ def resolve_section(
     ----------
     heights_mm
         (n,), true heights of the points above the cutting plane; kept as moments of the cells.
+    solid
+        The slice is known to be one of a solid: what may be closed or open is closed.
     """
     points, away_mm = _checked(points_mm)
     heights = None if heights_mm is None else _checked_heights(heights_mm, len(points))
     if away_mm is None:
-        return _resolved(points, exact, heights)
-    return _moved(_resolved(points - away_mm, exact, heights), away_mm)
+        return _resolved(points, exact, heights, solid=solid)
+    return _moved(_resolved(points - away_mm, exact, heights, solid=solid), away_mm)
 
 
-def _resolved(points: FloatArray, exact: Exact, heights: FloatArray | None) -> SectionFit:
-    topology = find_chains(points)
+def _resolved(
+    points: FloatArray, exact: Exact, heights: FloatArray | None, *, solid: bool
+) -> SectionFit:
+    topology = as_of_a_solid(find_chains(points)) if solid else find_chains(points)
     groups = _grouped(points, topology, heights)
     failures: list[str] = []
     fitted: dict[int, FittedCurve] = {}

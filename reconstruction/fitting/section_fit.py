@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from reconstruction.arrays import FloatArray
+from reconstruction.distances import polygon_distances
 from reconstruction.errors import TooFewPoints
 from reconstruction.fitting.bands import LEAST, factorise, solve
 from reconstruction.fitting.chain import Chain
@@ -42,7 +43,7 @@ _EXACT = 1e-7  # of the length: scatter below it is none
 _PASSES = 6
 _RETRIES = 4  # of a fit that winds ...
 _LOSS = 0.02  # ... as long as they lose no more of the points ...
-_OFF = 2.5  # ... and these stay within so many of the chain's standard deviations
+_OFF = 1.5  # ... and these lie no more times as far off as from the chain
 
 
 def fit_chain(
@@ -122,10 +123,12 @@ def _unwound(
 
 
 def _loses(fit: Fit, before: Fit, cells: ArcCells, chain: Chain) -> bool:
-    """Whether a fit has let go of points, or lies farther off than the chain knows of."""
+    """Whether a fit has let go of points, or lies farther from them than the chain does."""
     lost = float(cells.counts @ (before.weights - fit.weights))
-    usual = float(np.sqrt(np.mean(chain.sigma_mm**2)))
-    return lost > _LOSS * cells.total or fit.noise.variance_mm2 > (_OFF * usual) ** 2
+    away = polygon_distances(cells.means_mm, chain.nodes_mm, closed=chain.closed)
+    squares = away**2 + cells.covariances_mm2[:, [0, 2]].sum(axis=1)
+    usual = float(np.average(squares, weights=cells.counts))
+    return lost > _LOSS * cells.total or fit.noise.variance_mm2 > _OFF**2 * usual
 
 
 def _settled(

@@ -25,6 +25,8 @@ _ALIKE = 9  # places that share what they scatter
 _BAND = 1.7  # slenderness from which they lie in a band
 _PATCHED = 0.4  # share of the points in patches from which they are a band wider than can be seen
 _LEAST = 40  # places of a patch
+_SPARSE = 3.0  # times the usual spacing: farther apart, places are no patch
+_AWAY = 2.5  # times the median distance from its middle: in a full patch nothing is farther
 _FEW = 10  # places; fewer beside it tell nothing
 _WIDE = 3.0  # times as far as bands, patches scatter across, ...
 _WIDER = 2.2  # ... times as far as what lies beside them, ...
@@ -65,6 +67,8 @@ def _in_patches(places: Places, scatter: FloatArray, blind: BoolArray) -> BoolAr
     """Which of the places that see no band are of patches, where most are of bands."""
     found = np.zeros(len(blind), np.bool_)
     known = np.isfinite(scatter) & ~blind
+    # Strays see no band either, and would tie everything near them to one wide patch.
+    blind = blind & (places.spacing <= _SPARSE * middling(places.spacing, places.counts))
     if (
         not blind.any()
         or not known.any()
@@ -87,8 +91,11 @@ def _in_patches(places: Places, scatter: FloatArray, blind: BoolArray) -> BoolAr
 
 def _is_patch(places: Places, mine: BoolArray, wide: float) -> bool:
     """Whether places are wider than the band, full, hardly longer, and not of a wider band."""
-    middle = places.at[mine].mean(axis=0)
-    shorter, longer = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(places.at[mine].T)), 0.0))
+    held = places.at[mine]
+    away = np.linalg.norm(held - np.median(held, axis=0), axis=1)
+    held = held[away <= _AWAY * np.median(away)]
+    middle = held.mean(axis=0)
+    shorter, longer = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(held.T)), 0.0))
     if shorter < wide or longer > _COMPACT * shorter:
         return False
     apart = np.linalg.norm(places.at - middle, axis=1)

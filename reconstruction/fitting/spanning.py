@@ -2,11 +2,13 @@
 
 The shortest tree that spans the points of one well sampled run is a path but for twigs of a point
 or two; the twigs are put where they lengthen the path least, and crossings undone (2-opt). Longer
-branches are runs of their own. Where
-the noise is wider than the spacing the tree is bushy and this gives up: bands are for `linking`.
+branches are runs of their own. Where the noise is wider than the spacing the tree is bushy and this
+gives up: bands are for `linking`.
 """
 
 from __future__ import annotations
+
+from statistics import median
 
 import numpy as np
 from numba import njit
@@ -73,11 +75,17 @@ def _parts(
 ) -> list[tuple[IntArray, list[list[int]]]]:
     """Cut the tree at edges much longer than those beside them on either side."""
     children = np.flatnonzero(parents >= 0)
-    around: list[list[float]] = [[] for _ in places]
-    for child in children:
-        around[child].append(edges[child])
-        around[parents[child]].append(edges[child])
-    usual = np.array([_usual(k, parents, around) for k in range(len(places))])
+    around: list[list[float]] = [[] for _ in places]  # edges at each place ...
+    beside: list[list[int]] = [[] for _ in places]  # ... and the places they lead to
+    for child in children.tolist():
+        parent, edge = int(parents[child]), float(edges[child])
+        for one, other in ((child, parent), (parent, child)):
+            around[one].append(edge)
+            beside[one].append(other)
+    usual = [
+        median(around[place] + [edge for other in beside[place] for edge in around[other]])
+        for place in range(len(places))
+    ]  # at a place and at those one step on
     kept = np.array(
         [c for c in children if edges[c] <= _LONG * max(usual[c], usual[parents[c]])], np.int64
     )
@@ -94,14 +102,6 @@ def _parts(
             tree[other].append(one)
         parts.append((members, tree))
     return parts
-
-
-def _usual(place: int, parents: IntArray, around: list[list[float]]) -> float:
-    """Median edge at a place and at those one step on."""
-    parent = int(parents[place])
-    lengths = around[place] + (around[parent] if parent >= 0 else [])
-    lengths += [e for child in np.flatnonzero(parents == place) for e in around[child]]
-    return float(np.median(lengths))
 
 
 def _path_of(
@@ -177,7 +177,7 @@ def _insert(places: FloatArray, path: list[int], one: int) -> None:
 
 @njit(cache=True, nogil=True)
 def _uncross(places: FloatArray, order: IntArray) -> None:
-    """Turn stretches around and move single places while that shortens the way."""
+    """Turn stretches around while that shortens the way."""
     count = len(order)
     for _ in range(50):
         better = False

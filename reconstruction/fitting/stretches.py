@@ -12,9 +12,10 @@ from reconstruction.arrays import BoolArray, FloatArray, IntArray
 from reconstruction.fitting.regression import STEP
 
 _HOLE = 1.5  # reaches without a point: no node is put there, where it would hang in the air
-_BESIDE = 8  # points on either side of a hole tell how far apart they usually are: ...
-_SILENT = 4.0  # ... it is a gap from so many times the widest of their ways but one, ...
-_SILENCE = 7.0  # ... or times the way that three quarters of them do not exceed
+_BESIDE = 24  # points on either side of a hole tell how far apart they usually are: ...
+_OTHERS = 3  # gaps that may be among the ways of so many points, and fewer among fewer
+_SILENT = 5.5  # ... it is a gap from so many times the widest of their other ways, ...
+_SILENCE = 11.0  # ... or times the way that three quarters of them do not exceed
 _TAIL = 2  # points beyond either end of a row of many that may be strays ...
 _MANY = 100  # ... one for every so many points
 
@@ -70,8 +71,9 @@ def _holes(along: FloatArray, thick: FloatArray, period: float) -> tuple[IntArra
     around = np.sort(ways[(holes[:, None] + beside) % len(ways)], axis=1)
     gaps = np.ones(len(holes), np.bool_)
     if most:
+        widest = -1 - max(_OTHERS * most // _BESIDE, 1)
         gaps &= ways[holes] > np.minimum(
-            _SILENT * around[:, -2], _SILENCE * around[:, -1 - most // 2]
+            _SILENT * around[:, widest], _SILENCE * around[:, -1 - most // 2]
         )
     kept = gaps | (ways[holes] > _HOLE)
     return holes[kept], gaps[kept]

@@ -16,7 +16,8 @@ from scipy.ndimage import median_filter
 from scipy.spatial import cKDTree
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
-from reconstruction.fitting.regression import EXACT, FAR, WINDOW, regress
+from reconstruction.fitting.hooks import without_hooks
+from reconstruction.fitting.regression import EXACT, FAR, STEP, WINDOW, regress
 from reconstruction.fitting.stretches import gaps_among, grid_between
 from reconstruction.fitting.support import Nodes, levelled
 
@@ -27,6 +28,7 @@ _BROAD = 10.0  # standard deviations: nor sees a parabola less far to either sid
 _EXACTLY = 0.03  # times the way to the next: points that scatter less are exact
 _EVEN = 7  # steps over which the median is taken, among exact points
 _UNSTEADY = 4.0  # times the usual deviation: more is a bad fit
+_MOST_PIECES = 64  # of a way, at the ends of which it is looked for
 _MERGED = 1.5  # times what the places around each scatter: farther off, another run is mixed in
 
 
@@ -72,15 +74,37 @@ def thin(
     if count == len(places) and _is_exact(places, row):
         at = np.argsort(slots)
         return _as_they_are(places[at], row), np.zeros(2, np.int64)
-    return row, _far_off(places, row, at, scatter)
+    return _unhooked(row), _far_off(places, row, at, scatter)
 
 
 def thin_again(places: FloatArray, row: Row) -> Row:
     """Thin the places (k, 2) of a row anew, where it was put together of several."""
-    at = np.asarray(cKDTree(row.nodes).query(places)[1])
+    at = _nearest_ways(places, row)
     if row.exact:
         return _as_they_are(places[np.argsort(_lay_along(places, row, at)[0], kind="stable")], row)
-    return _thinned(places, row, at)[0]
+    return _unhooked(_thinned(places, row, at)[0])
+
+
+def _unhooked(row: Row) -> Row:
+    """A row without the hooks at its ends and beside its gaps."""
+    kept = without_hooks(row.nodes, row.sigma, row.reach, row.gaps, closed=row.closed)
+    gaps = _gaps_among(kept, row.gaps, closed=row.closed)
+    return Row(row.nodes[kept], row.sigma[kept], row.reach[kept], row.closed, gaps)
+
+
+def _nearest_ways(places: FloatArray, row: Row) -> IntArray:
+    """After which node the nearest way from node to node begins, for every place, (k,).
+
+    Also where that way is a long bridge, and a node of another stretch is nearer than both its own.
+    """
+    ring = np.vstack([row.nodes, row.nodes[:1]]) if row.closed else row.nodes
+    arms = np.diff(ring, axis=0)
+    steps = np.linalg.norm(arms, axis=1) / np.maximum(STEP * row.reach[: len(arms)], 1e-300)
+    pieces = np.clip(np.ceil(steps), 1, _MOST_PIECES).astype(np.int64)
+    way = np.repeat(np.arange(len(arms)), pieces)
+    share = (np.arange(len(way)) - np.repeat(pieces.cumsum() - pieces, pieces)) / pieces[way]
+    at = np.vstack([ring[way] + share[:, None] * arms[way], ring[-1:]])
+    return np.append(way, max(len(arms) - 1, 0))[np.asarray(cKDTree(at).query(places)[1])]
 
 
 def _is_exact(places: FloatArray, row: Row) -> bool:

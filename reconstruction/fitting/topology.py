@@ -17,13 +17,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reconstruction.arrays import FloatArray, IntArray, frozen
+from reconstruction.arrays import IntArray, frozen
 from reconstruction.errors import TooFewPoints
 from reconstruction.fitting.cells import Int32Array, bounds
 from reconstruction.fitting.chain import Chain
 from reconstruction.fitting.closing import Joined, join
 from reconstruction.fitting.crossing import Strand, uncross
+from reconstruction.fitting.crowding import is_crowded
 from reconstruction.fitting.gathering import gather, nearest_row
+from reconstruction.fitting.nesting import find_depths, signed_area
 from reconstruction.fitting.places import Places, look_at
 from reconstruction.fitting.scale import Order, order
 from reconstruction.fitting.thinning import Row, thin_again
@@ -104,8 +106,11 @@ def _joined(places: Places, found: Order) -> tuple[list[Joined], IntArray]:
     sampled = found.runs.run_of_place[places.place_of_sample]
     held = np.bincount(sampled[sampled >= 0], minlength=len(found.rows))
     chain_of_run = np.where(held >= _HEAP, UNORDERED, STRAY)
-    numbers = [number for number, row in enumerate(found.rows) if row is not None]
-    joined = join([row for row in found.rows if row is not None])
+    numbers = [
+        number for number, row in enumerate(found.rows)
+        if row is not None and not is_crowded(row, places.sample)
+    ]  # fmt: skip
+    joined = join([row for number in numbers if (row := found.rows[number]) is not None])
     chain_of_run[numbers] = STRAY
     for chain, one in enumerate(joined):
         chain_of_run[[numbers[member] for member in one.members]] = chain
@@ -148,7 +153,7 @@ def _is_heap(row: Row) -> bool:
 
 
 def _concluded(places: Places, kept: list[Strand], chain_of_point: Int32Array) -> Topology:
-    depths = _depths([strand.row for strand in kept])
+    depths = find_depths([(strand.row.nodes, strand.row.closed) for strand in kept])
     chains = tuple(
         _chain(places, strand, clockwise=depth % 2 == 1)
         for strand, depth in zip(kept, depths, strict=True)
@@ -163,30 +168,7 @@ def _concluded(places: Places, kept: list[Strand], chain_of_point: Int32Array) -
 def _chain(places: Places, strand: Strand, *, clockwise: bool) -> Chain:
     row, gaps = strand.row, strand.row.gaps
     nodes, sigma = row.nodes * places.unit_mm + places.origin_mm, row.sigma * places.unit_mm
-    if row.closed and (_area(row.nodes) < 0.0) != clockwise:
+    if row.closed and (signed_area(row.nodes) < 0.0) != clockwise:
         nodes, sigma = nodes[::-1], sigma[::-1]
         gaps = tuple(sorted((len(nodes) - 2 - gap) % len(nodes) for gap in gaps))
     return Chain(nodes, sigma, row.closed, gaps, strand.ambiguous)
-
-
-def _area(nodes: FloatArray) -> float:
-    """Signed area; counter-clockwise is positive."""
-    x, y = (nodes - nodes[0]).T
-    return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
-
-
-def _depths(rows: list[Row]) -> list[int]:
-    """How many of the closed rows lie around each row."""
-    loops = [row for row in rows if row.closed]
-    return [
-        sum(_inside(row.nodes[0], loop.nodes) for loop in loops if loop is not row) for row in rows
-    ]
-
-
-def _inside(place: FloatArray, loop: FloatArray) -> bool:
-    """Whether a ray from the place to the right crosses the loop an odd number of times."""
-    x, y = (loop - place).T
-    next_x, next_y = np.roll(x, -1), np.roll(y, -1)
-    over = (y > 0) != (next_y > 0)
-    at = x[over] - y[over] * (next_x[over] - x[over]) / (next_y[over] - y[over])
-    return bool((at > 0).sum() % 2)

@@ -36,10 +36,13 @@ from reconstruction.nurbs.interpolation import (
 from reconstruction.nurbs.layout import Border
 from reconstruction.nurbs.shapes import circle, clamped_uniform, periodic_uniform
 from reconstruction.nurbs.surface_evaluation import (
+    Curvatures,
     evaluate_surface,
     evaluate_surface_at,
     points_and_normals,
     points_and_normals_at,
+    points_and_tangents_at,
+    surface_curvatures_at,
     surface_derivatives,
     surface_derivatives_on_grid,
     surface_normals,
@@ -51,6 +54,7 @@ from reconstruction.nurbs.values import Curve, Surface
 __all__ = [
     "Along",
     "Border",
+    "Curvatures",
     "Curve",
     "Surface",
     "Tessellation",
@@ -80,6 +84,7 @@ __all__ = [
     "periodic_uniform",
     "points_and_normals",
     "points_and_normals_at",
+    "points_and_tangents_at",
     "refine",
     "refine_along",
     "reparametrise",
@@ -88,6 +93,7 @@ __all__ = [
     "reverse_along",
     "split",
     "split_along",
+    "surface_curvatures_at",
     "surface_derivatives",
     "surface_derivatives_on_grid",
     "surface_normals",

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import BoolArray, FloatArray
 
 Domain = tuple[tuple[float, float], tuple[float, float]]
 
@@ -50,11 +50,27 @@ def replaced_normals(
     return np.where(sound[:, None], normals / np.where(sound, lengths, 1.0)[:, None], 0.0)
 
 
+def are_regular(derivatives: FloatArray, steps: tuple[FloatArray, FloatArray]) -> BoolArray:
+    """Whether both tangents exist by themselves and are not parallel; (2, 2, m, 3) -> (m,)."""
+    du, dv, twist = derivatives[1, 0], derivatives[0, 1], derivatives[1, 1]
+    lengths = np.linalg.norm(du, axis=1), np.linalg.norm(dv, axis=1)
+    cross = np.linalg.norm(np.cross(du, dv), axis=1)
+    return np.asarray(
+        ~_has_vanished(du, twist, steps[1])
+        & ~_has_vanished(dv, twist, steps[0])
+        & (cross > _VANISHED * lengths[0] * lengths[1])
+    )
+
+
 def _inwards(parameters: FloatArray, ends: tuple[float, float]) -> FloatArray:
     """Return +1 in the first half of the domain, -1 in the second: the way a limit comes from."""
     return np.where(parameters < (ends[0] + ends[1]) / 2, 1.0, -1.0)
 
 
 def _or_limit(tangent: FloatArray, limit: FloatArray, step: FloatArray) -> FloatArray:
-    vanished = np.linalg.norm(tangent, axis=1) <= _VANISHED * step * np.linalg.norm(limit, axis=1)
-    return np.where(vanished[:, None], limit, tangent)
+    return np.where(_has_vanished(tangent, limit, step)[:, None], limit, tangent)
+
+
+def _has_vanished(tangent: FloatArray, limit: FloatArray, step: FloatArray) -> BoolArray:
+    length = np.linalg.norm(tangent, axis=1)
+    return np.asarray(length <= _VANISHED * step * np.linalg.norm(limit, axis=1))

@@ -446,3 +446,155 @@ def scattered_normals(
         normals[m, 0], normals[m, 1], normals[m, 2] = normal
         missing += normal == (0.0, 0.0, 0.0)
     return missing
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def scattered_tangents(
+    net: FloatArray,
+    u: FloatArray,
+    knots_u: FloatArray,
+    v: FloatArray,
+    knots_v: FloatArray,
+    unroll_u: Unroll,
+    unroll_v: Unroll,
+    frames: tuple[FloatArray, FloatArray, FloatArray],
+) -> None:
+    """Points and both first derivatives at scattered parameters into three arrays (m, 3)."""
+    p, q = len(unroll_u) - 1, len(unroll_v) - 1
+    starts_u, scale_u = span_starts(knots_u, p, net.shape[0] - 1)
+    starts_v, scale_v = span_starts(knots_v, q, net.shape[1] - 1)
+    table_u = reciprocals(knots_u, p, net.shape[0] - 1)
+    table_v = reciprocals(knots_v, q, net.shape[1] - 1)
+    bu, du, bv, dv = np.empty(p + 1), np.empty(p + 1), np.empty(q + 1), np.empty(q + 1)
+    for m in range(len(u)):
+        i = span_of(u[m], knots_u, p, starts_u, scale_u)
+        j = span_of(v[m], knots_v, q, starts_v, scale_v)
+        fast_basis_into(u[m], i, knots_u, table_u, bu, du, unroll_u)
+        fast_basis_into(v[m], j, knots_v, table_v, bv, dv, unroll_v)
+        s = su = sv = (0.0, 0.0, 0.0, 0.0)
+        for r in range(len(unroll_u)):
+            along = patch_row_sum(net, i - p + r, j - q, bv, unroll_v)
+            across = patch_row_sum(net, i - p + r, j - q, dv, unroll_v)
+            s, su, sv = added(s, bu[r], along), added(su, du[r], along), added(sv, bu[r], across)
+        frame = projected_frame(s, su, sv)
+        frames[0][m, 0], frames[0][m, 1], frames[0][m, 2] = frame[0]
+        frames[1][m, 0], frames[1][m, 1], frames[1][m, 2] = frame[1]
+        frames[2][m, 0], frames[2][m, 1], frames[2][m, 2] = frame[2]
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def fast_bends_into(
+    u: float,
+    span: int,
+    knots: FloatArray,
+    table: FloatArray,
+    values: FloatArray,
+    slopes: FloatArray,
+    bends: FloatArray,
+    unroll: Unroll,
+) -> None:
+    """`fast_basis_into` with second derivatives: slopes of one degree less, differenced again."""
+    use = 0
+    values[0], slopes[0], bends[0] = 1.0, 0.0, 0.0
+    for level in range(1, len(unroll)):
+        saved, before, turned = 0.0, 0.0, 0.0
+        for r in range(level):
+            quotient, turn = values[r] * table[span, use], slopes[r] * table[span, use]
+            use += 1
+            bends[r] = level * (turned - turn)
+            slopes[r] = level * (before - quotient)
+            values[r] = saved + (knots[span + r + 1] - u) * quotient
+            saved = (u - knots[span + 1 - level + r]) * quotient
+            before, turned = quotient, turn
+        values[level] = saved
+        slopes[level] = level * before
+        bends[level] = level * turned
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def projected_second(
+    second: Homogeneous, weights: tuple[float, float], firsts: tuple[Vector, Vector], point: Vector,
+    w: float,
+) -> Vector:  # fmt: skip
+    """Project a second derivative in a and b: `weights` are w_a, w_b, `firsts` S_b, S_a."""
+    f = 1.0 / w
+    (wa, wb), (sb, sa), c = weights, firsts, second[3]
+    return (
+        (second[0] - wa * sb[0] - wb * sa[0] - c * point[0]) * f,
+        (second[1] - wa * sb[1] - wb * sa[1] - c * point[1]) * f,
+        (second[2] - wa * sb[2] - wb * sa[2] - c * point[2]) * f,
+    )
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def dot(a: Vector, b: Vector) -> float:
+    """Inner product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def shape_operator(
+    du: Vector, dv: Vector, seconds: tuple[Vector, Vector, Vector], least: float
+) -> tuple[float, float, float]:
+    """Second fundamental form in orthonormal tangents, (a, b, c) of ((a, b), (b, c)).
+
+    The first tangent is along `du`. In this basis principal curvatures are eigenvalues of a
+    symmetric matrix and exact even where they are equal. NaN where there is no normal.
+    """
+    normal = unit_normal(du, dv, least)
+    if normal == (0.0, 0.0, 0.0):
+        return np.nan, np.nan, np.nan
+    length = np.sqrt(dot(du, du))
+    shear = dot(du, dv) / (length * length)
+    aside = (dv[0] - shear * du[0], dv[1] - shear * du[1], dv[2] - shear * du[2])
+    width = np.sqrt(dot(aside, aside))
+    uu, uv, vv = dot(seconds[0], normal), dot(seconds[1], normal), dot(seconds[2], normal)
+    a = uu / (length * length)
+    b = (uv - shear * uu) / (length * width)
+    return a, b, (vv - 2.0 * shear * uv + shear * shear * uu) / (width * width)
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def scattered_curvatures(
+    net: FloatArray,
+    u: FloatArray,
+    knots_u: FloatArray,
+    v: FloatArray,
+    knots_v: FloatArray,
+    unroll_u: Unroll,
+    unroll_v: Unroll,
+    curvatures: FloatArray,
+    least: float,
+) -> None:
+    """Gaussian, mean, larger and smaller principal curvature at scattered parameters; (m, 4)."""
+    p, q = len(unroll_u) - 1, len(unroll_v) - 1
+    starts_u, scale_u = span_starts(knots_u, p, net.shape[0] - 1)
+    starts_v, scale_v = span_starts(knots_v, q, net.shape[1] - 1)
+    table_u = reciprocals(knots_u, p, net.shape[0] - 1)
+    table_v = reciprocals(knots_v, q, net.shape[1] - 1)
+    bu, du, au = np.empty(p + 1), np.empty(p + 1), np.empty(p + 1)
+    bv, dv, av = np.empty(q + 1), np.empty(q + 1), np.empty(q + 1)
+    for m in range(len(u)):
+        i = span_of(u[m], knots_u, p, starts_u, scale_u)
+        j = span_of(v[m], knots_v, q, starts_v, scale_v)
+        fast_bends_into(u[m], i, knots_u, table_u, bu, du, au, unroll_u)
+        fast_bends_into(v[m], j, knots_v, table_v, bv, dv, av, unroll_v)
+        s = su = sv = suu = suv = svv = (0.0, 0.0, 0.0, 0.0)
+        for r in range(len(unroll_u)):
+            along = patch_row_sum(net, i - p + r, j - q, bv, unroll_v)
+            across = patch_row_sum(net, i - p + r, j - q, dv, unroll_v)
+            bent = patch_row_sum(net, i - p + r, j - q, av, unroll_v)
+            s, su, sv = added(s, bu[r], along), added(su, du[r], along), added(sv, bu[r], across)
+            suu, suv = added(suu, au[r], along), added(suv, du[r], across)
+            svv = added(svv, bu[r], bent)
+        point, tu, tv = projected_frame(s, su, sv)
+        wu, wv, w = su[3], sv[3], s[3]
+        seconds = (
+            projected_second(suu, (wu, wu), (tu, tu), point, w),
+            projected_second(suv, (wu, wv), (tv, tu), point, w),
+            projected_second(svv, (wv, wv), (tv, tv), point, w),
+        )
+        a, b, c = shape_operator(tu, tv, seconds, least)
+        mean, spread = 0.5 * (a + c), np.hypot(0.5 * (a - c), b)
+        curvatures[m, 0], curvatures[m, 1] = a * c - b * b, mean
+        curvatures[m, 2], curvatures[m, 3] = mean + spread, mean - spread

@@ -7,16 +7,17 @@ domain. A function on a grid takes u (mu,) and v (mv,); its twin ``..._at`` take
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import comb
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reconstruction.arrays import FloatArray, IntArray
+from reconstruction.arrays import BoolArray, FloatArray, IntArray, frozen
 from reconstruction.nurbs import kernels
 from reconstruction.nurbs.basis import basis_derivatives, find_spans, in_domain
-from reconstruction.nurbs.degenerate import replaced_normals
+from reconstruction.nurbs.degenerate import are_regular, replaced_normals
 from reconstruction.nurbs.evaluation import homogeneous, wrapped
 
 if TYPE_CHECKING:
@@ -107,6 +108,47 @@ def points_and_normals_at(
     return _exact_at_ends(surface, u, v, points), normals
 
 
+def points_and_tangents_at(
+    surface: Surface, u: ArrayLike, v: ArrayLike
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Points and both first derivatives S, S_u, S_v at scattered parameters; (m, 3) each."""
+    u, v = _pairs(surface, u, v)
+    frames = np.empty((3, len(u), 3))
+    parts = frames[0], frames[1], frames[2]
+    kernels.scattered_tangents(
+        _net(surface), u, surface.knots_u, v, surface.knots_v, *_unrolled(surface), parts
+    )
+    return _exact_at_ends(surface, u, v, parts[0]), parts[1], parts[2]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curvatures:
+    """Of a surface at m places; positive where it bends towards its normal S_u x S_v."""
+
+    gaussian_per_mm2: FloatArray  # (m,)
+    mean_per_mm: FloatArray  # (m,)
+    principal_per_mm: FloatArray  # (m, 2), the larger first
+
+    def __post_init__(self) -> None:
+        for name in ("gaussian_per_mm2", "mean_per_mm", "principal_per_mm"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+
+def surface_curvatures_at(surface: Surface, u: ArrayLike, v: ArrayLike) -> Curvatures:
+    """Curvatures at scattered parameters u (m,), v (m,).
+
+    Where S_u x S_v vanishes, as at a pole, they are NaN. On a knot so multiple that the surface
+    bends abruptly they are those behind it, at the domain's end those before it.
+    """
+    u, v = _pairs(surface, u, v)
+    found = _curvatures(surface, u, v, _suspect_length(surface))
+    rows = np.flatnonzero(np.isnan(found[:, 0]))
+    if len(rows):
+        sound = rows[_are_regular(surface, u[rows], v[rows])]
+        found[sound] = _curvatures(surface, u[sound], v[sound], 0.0)
+    return Curvatures(found[:, 0], found[:, 1], found[:, 2:])
+
+
 def surface_normals_at(surface: Surface, u: ArrayLike, v: ArrayLike) -> FloatArray:
     """Return unit normals at scattered parameters, (m, 3); see `surface_normals`."""
     return points_and_normals_at(surface, u, v)[1]
@@ -135,6 +177,14 @@ def surface_derivatives(surface: Surface, u: ArrayLike, v: ArrayLike, order: int
     return _projected(sums)
 
 
+def _curvatures(surface: Surface, u: FloatArray, v: FloatArray, least: float) -> FloatArray:
+    found = np.empty((len(u), 4))
+    kernels.scattered_curvatures(
+        _net(surface), u, surface.knots_u, v, surface.knots_v, *_unrolled(surface), found, least
+    )
+    return found
+
+
 def _projected(sums: FloatArray) -> FloatArray:
     weights = sums[..., 3:]
     out = np.empty((*sums.shape[:-1], 3))
@@ -148,11 +198,19 @@ def _projected(sums: FloatArray) -> FloatArray:
 
 
 def _careful_normals(surface: Surface, u: FloatArray, v: FloatArray) -> FloatArray:
-    steps = (
+    derivatives, steps = surface_derivatives(surface, u, v, 1), _steps(surface, u, v)
+    return replaced_normals(derivatives, u, v, surface.domain, steps)
+
+
+def _are_regular(surface: Surface, u: FloatArray, v: FloatArray) -> BoolArray:
+    return are_regular(surface_derivatives(surface, u, v, 1), _steps(surface, u, v))
+
+
+def _steps(surface: Surface, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return (
         _span_lengths(u, surface.degree_u, surface.knots_u),
         _span_lengths(v, surface.degree_v, surface.knots_v),
     )
-    return replaced_normals(surface_derivatives(surface, u, v, 1), u, v, surface.domain, steps)
 
 
 def _span_lengths(u: FloatArray, degree: int, knots: FloatArray) -> FloatArray:

@@ -427,10 +427,12 @@ def variances_across(
 ) -> FloatArray:
     """Variance of the surface along normals (m, 3) at parameters, (m,)."""
     at_u, at_v = at
+    # In the order of the net: neighbours read the same part of an inverse that no cache holds.
+    order = np.argsort(at_v.first * len(unknowns.directions) + at_u.first)
     return np.asarray(
         _variances_at(
             inverse.diagonal, inverse.lower, unknowns.directions, unknowns.place, net.apex,
-            at_u.first, at_u.values[:, 0], at_v.first, at_v.values[:, 0], normals,
+            at_u.first, at_u.values[:, 0], at_v.first, at_v.values[:, 0], normals, order,
         )
     )  # fmt: skip
 
@@ -439,24 +441,33 @@ def variances_across(
 def _variances_at(
     diagonal: FloatArray, lower: FloatArray, directions: FloatArray, place: IntArray,
     apex: BoolArray, first_u: IntArray, values_u: FloatArray, first_v: IntArray,
-    values_v: FloatArray, normals: FloatArray,
+    values_v: FloatArray, normals: FloatArray, order: IntArray,
 ) -> FloatArray:  # fmt: skip
     size = diagonal.shape[1]
     numbers, slopes = np.empty(16, np.int64), np.empty(16)
+    blocks, within = np.empty(16, np.int64), np.empty(16, np.int64)
     out = np.zeros(len(normals))
-    for m in range(len(normals)):
+    for m in order:
         held = _row_at(
             directions, place, apex, first_u[m], values_u[m], first_v[m], values_v[m],
             normals[m], numbers, slopes,
         )  # fmt: skip
+        total = 0.0
         for p in range(held):
-            for q in range(p + 1):
-                twice = 1.0 if p == q else 2.0
-                out[m] += (
-                    twice * slopes[p] * slopes[q]
-                    * _read(diagonal, lower, size, numbers[p], numbers[q])
-                )  # fmt: skip
-    return np.maximum(out, 0.0)
+            # Divided once a number, not once a pair: 16 times for 136 reads.
+            blocks[p] = numbers[p] // size
+            within[p] = numbers[p] - blocks[p] * size
+            part = 0.5 * slopes[p] * diagonal[blocks[p], within[p], within[p]]
+            for q in range(p):
+                if blocks[p] == blocks[q]:
+                    part += slopes[q] * diagonal[blocks[p], within[p], within[q]]
+                elif blocks[p] > blocks[q]:
+                    part += slopes[q] * lower[blocks[q], within[p], within[q]]
+                else:
+                    part += slopes[q] * lower[blocks[p], within[q], within[p]]
+            total += 2.0 * slopes[p] * part
+        out[m] = max(total, 0.0)
+    return out
 
 
 def applied(net: Net, unknowns: Unknowns, moves: FloatArray) -> FloatArray:

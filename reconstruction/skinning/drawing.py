@@ -47,6 +47,7 @@ def draw_outlines(piece: Slice, *, exact: Exact = Exact.AUTO) -> SliceOutlines:
             np.ascontiguousarray(planar[:, :2]),
             exact=exact,
             heights_mm=np.ascontiguousarray(planar[:, 2]),
+            solid=True,
         )
     except TooFewPoints as few:
         return SliceOutlines(piece.index, piece.frame, (), (), len(piece.points_mm), 0, (str(few),))

@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
+from reconstruction.nurbs import points_and_tangents_at
 from reconstruction.skinning.aligning import Stations, align
 from reconstruction.skinning.assembly import variances_across
 from reconstruction.skinning.branch import Branch
 from reconstruction.skinning.ends import Apex, Brim, brim_or_apex
 from reconstruction.skinning.feet import nearby
 from reconstruction.skinning.laying import Laid, lay_net
-from reconstruction.skinning.net import basis_at, derivatives_at, unit_normals
+from reconstruction.skinning.net import basis_at, unit_normals
 from reconstruction.skinning.noise import Noise
 from reconstruction.skinning.outlines import Moments
 from reconstruction.skinning.tensor_fit import FREE, Rim, TensorFit, fit_net
@@ -50,12 +51,12 @@ class Skin:
     def deviation_mm(self, u: FloatArray, v: FloatArray) -> FloatArray:
         """Posterior standard deviation across the surface at (m,), (m,)."""
         net = self.fit.net
-        frames = derivatives_at(net, u, v)
+        _, first_u, first_v = points_and_tangents_at(net.surface(), u, v)
         at = (
             basis_at(u, net.knots_u, 0, closed=net.closed_u),
             basis_at(v, net.knots_v, 0, closed=net.closed_v),
         )
-        normals = unit_normals(frames[:, 1], frames[:, 2])
+        normals = unit_normals(first_u, first_v)
         return np.sqrt(variances_across(self.fit.inverse, net, self.fit.unknowns, at, normals))
 
     def synthetic(self, u: FloatArray, v: FloatArray) -> BoolArray:

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from loftscan.findings import judge, spans
+from loftscan.findings import judge
 from loftscan.result import Result
+from loftscan.spans import spans
 from reconstruction.pipeline import Reconstruction
 from reconstruction.sections import Section, Skipped
 from reconstruction.setting_aside import Aside

@@ -90,7 +90,7 @@ def test_progress_is_told_stage_by_stage(part_points: FloatArray) -> None:
     [
         ({"axis": "w"}, "'w' is not a valid Axis"),
         ({"unit": "km"}, "'km' is not a valid Unit"),
-        ({"method": "fit"}, "'fit' is not a valid Method"),
+        ({"method": "spline"}, "'spline' is not a valid Method"),
         ({"spacing_mm": 0.0}, "spacing-mm 0: a length above 0 mm"),
         ({"remesh_edge_mm": -1.0}, "remesh_edge_mm must be above 0"),
         ({"intermediate": -1}, "intermediate"),

@@ -15,9 +15,11 @@ from reconstruction.distances import polygon_distances
 from tests.reconstruction.part_cases import star
 
 
-def naive_distances(points: FloatArray, polygon: FloatArray) -> FloatArray:
+def naive_distances(points: FloatArray, polygon: FloatArray, *, closed: bool = True) -> FloatArray:
     """To every segment; (n, 2), (m, 2) -> (n,), unsigned."""
     a, b = polygon, np.roll(polygon, -1, axis=0)
+    if not closed:
+        a, b = a[:-1], b[:-1]
     along = b - a
     squares = np.maximum((along**2).sum(axis=1), 1e-300)
     from_start = points[:, None] - a
@@ -105,3 +107,21 @@ def test_a_segment_there_and_back_is_all_outside(x_mm: float) -> None:
     line = np.array([[0.0, 0.0], [1.0, 0.0]])
     found = polygon_distances(np.array([[x_mm, 0.0]]), line)
     assert found[0] == pytest.approx(max(-x_mm, 0.0, x_mm - 1.0))
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 40))
+@settings(max_examples=60, deadline=None)
+def test_an_open_line_has_no_segment_from_its_end_to_its_start(seed: int, corners: int) -> None:
+    rng = np.random.default_rng(seed)
+    line = np.column_stack([np.arange(corners), rng.uniform(-2.0, 2.0, corners)])
+    points = rng.uniform(-6.0, corners + 6.0, (50, 2))
+    found = polygon_distances(points, line, closed=False)
+    expected = naive_distances(points, line, closed=False)
+    np.testing.assert_allclose(np.abs(found), expected, rtol=1e-9, atol=1e-9)
+
+
+def test_the_left_of_an_open_line_is_negative() -> None:
+    line = np.array([[0.0, 0.0], [10.0, 0.0], [20.0, 5.0]])
+    points = np.array([[-3.0, 1.0], [5.0, 1.0], [5.0, -1.0], [25.0, 9.0], [25.0, 4.0]])
+    signs = np.sign(polygon_distances(points, line, closed=False))
+    assert signs.tolist() == [-1.0, -1.0, 1.0, -1.0, 1.0]

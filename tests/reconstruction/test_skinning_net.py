@@ -184,6 +184,34 @@ def test_variances_are_those_of_the_dense_inverse(name: str) -> None:
     assert found == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.parametrize("name", NETS)
+def test_a_variance_does_not_depend_on_the_places_asked_for_with_it(name: str) -> None:
+    net = NETS[name]
+    unknowns = unknowns_of(net, (None, None))
+    system = empty_system(unknowns)
+    for each in stiffness_rows(net, unknowns):
+        add_stiffness(system, each, np.full(len(each.values_mm), 2.0))
+    for block in system[0].diagonal:
+        block[np.diag_indices(len(block))] += 1.0
+    factor = factorise(system[0])
+    assert factor is not None
+    inverse = inverse_blocks(factor)
+    u, v = somewhere(net, 60, 4)
+    normals = np.random.default_rng(5).normal(size=(60, 3))
+
+    def variances(chosen: np.ndarray) -> np.ndarray:
+        at = (
+            basis_at(u[chosen], net.knots_u, 0, closed=net.closed_u),
+            basis_at(v[chosen], net.knots_v, 0, closed=net.closed_v),
+        )
+        return variances_across(inverse, net, unknowns, at, normals[chosen])
+
+    alone = np.concatenate([variances(np.array([k])) for k in range(60)])
+    order = np.random.default_rng(6).permutation(60)
+    np.testing.assert_array_equal(variances(order), alone[order])
+    assert variances(order[:0]).shape == (0,)
+
+
 def test_both_sizes_of_the_noise_are_told_by_the_residuals() -> None:
     rng = np.random.default_rng(9)
     normals = rng.normal(size=(20_000, 3))

@@ -171,7 +171,12 @@ def test_a_plausible_size_is_no_warning(place: Path, cloud: str, without_picture
     ("options", "said"),
     [
         (["--axis", "w"], "--axis 'w': one of x, y, z expected"),
-        (["--method", "fit"], "--method 'fit': one of paper expected"),
+        (["--method", "spline"], "--method 'spline': one of paper, fit expected"),
+        (["--exact", "never"], "--exact: means nothing to --method paper; leave it out"),
+        (
+            ["--method", "fit", "--resolution-mm", "1"],
+            "--resolution-mm: means nothing to --method fit; leave it out",
+        ),
         (["--unit", "km"], "--unit 'km': one of mm, cm, m, um, inch expected"),
         (["--formats", "stl,iges"], "--formats 'iges': one of step, 3dm, stl, ply, glb expected"),
         (["--crop", "1,2,3"], "--crop '1,2,3': six numbers xmin,xmax,ymin,ymax,zmin,zmax"),

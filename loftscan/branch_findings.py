@@ -1,0 +1,70 @@
+"""What the surface of `--method fit` does not show by itself, in sentences."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from loftscan.spans import spans
+from reconstruction.fit_pipeline import FittedReconstruction
+from reconstruction.skinning.branch import Ending
+from reconstruction.skinning.ends import Apex, Brim
+from reconstruction.skinning.skin import Skin
+
+_MOST = 8  # doubts that are said one by one
+
+
+def judge_branches(done: FittedReconstruction) -> list[str | None]:
+    """Say what is doubtful about contours, branches, and how the part ends."""
+    return [*_shortened(tell_doubts(done)), _runs(done), _ends(done)]
+
+
+def tell_doubts(done: FittedReconstruction) -> list[str]:
+    """Say everything that is doubtful about contours and how they follow each other."""
+    notes = [
+        f"slice {section.index}: {note}"
+        for section in done.sections
+        for note in section.outlines.notes
+    ]
+    return [*done.skinned.branching.warnings, *notes]
+
+
+def _shortened(said: list[str]) -> list[str | None]:
+    if len(said) <= _MOST:
+        return list(said)
+    rest = len(said) - _MOST
+    return [*said[:_MOST], f"and {rest} more doubts: all are in the report"]
+
+
+def _runs(done: FittedReconstruction) -> str | None:
+    """Open contours are no part of a solid."""
+    named = [section for section in done.sections if section.outlines.runs]
+    if not named:
+        return None
+    many = sum(len(section.outlines.runs) for section in named)
+    return (
+        f"slices {spans(each.index for each in named)}: {many} open contours; their points hold "
+        "the surface where it passes by, and are no wall of their own"
+    )
+
+
+def _ends(done: FittedReconstruction) -> str | None:
+    """Ends that no slice has seen are closed, and stand on nothing."""
+    counts = Counter(kind for skin in done.skinned.skins for kind in _kinds(skin))
+    if not counts:
+        return None
+    words = [f"{many} {kind}" for kind, many in sorted(counts.items())]
+    return f"ends of the part that no slice samples: {', '.join(words)}; do not measure on them"
+
+
+def _kinds(skin: Skin) -> list[str]:
+    """How the open ends of a branch were closed; joints are none."""
+    if skin.brims is None or skin.branch.ends is None:
+        return []
+    pairs = zip(skin.brims, skin.branch.ends, strict=True)
+    return [_kind(brim) for brim, end in pairs if end.ending is not Ending.JOINED]
+
+
+def _kind(brim: Brim | Apex) -> str:
+    if isinstance(brim, Brim):
+        return "closed by a flat cap"
+    return "run out in a tip" if brim.sharp else "rounded off"
