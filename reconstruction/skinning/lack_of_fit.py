@@ -22,6 +22,7 @@ from reconstruction.skinning.revolution import Revolution
 _WAVE = 4.5  # standard deviations that none of some forty waves reaches by chance ...
 _WAVES = 6.0  # ... nor the squares of the first few of them together ...
 _PATCH = 5.2  # ... and none of some thousand patches
+_REACHES = (1, 2)  # boxes, of windows: a dent wider than a patch shows little in each
 _DOUBT = 2.0  # standard deviations by which squares may fall short
 _LOBES = (8, 4, 3)  # around, where the wave along is constant, linear, quadratic
 _BULGES = 4  # greatest degree along, of what is the same all around
@@ -32,25 +33,39 @@ _DEGREE = 5  # of polynomials over a plane
 
 def lacks_fit(found: Fitted, cells: Cells) -> bool:
     """Whether the cells' distances show a wave or a dent that chance does not explain."""
-    waves, rest = left_over(found, cells)
+    waves, rest, dents = left_over(found, cells)
     counts = np.arange(1.0, len(waves) + 1.0)
     usual = counts + _WAVES * (np.sqrt(2.0 * counts) + 1.0)
     return bool(
         np.abs(waves).max(initial=0.0) > _WAVE
         or (np.cumsum(waves**2) > usual).any()
         or np.abs(rest).max(initial=0.0) > _PATCH
+        or np.abs(dents).max(initial=0.0) > _PATCH
     )
 
 
-def left_over(found: Fitted, cells: Cells) -> tuple[FloatArray, FloatArray]:
-    """Parts of the distances along waves, (k,), and what is left of every patch, (p,).
+def left_over(found: Fitted, cells: Cells) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What is left of the distances: along waves (k,), of every patch (p,), of windows (q,).
 
-    All are standard normal numbers where the cells are those of the form.
+    All are standard normal numbers where the cells are those of the form; the windows, of 3 x 3
+    and 5 x 5 patches, overlap.
     """
     bounds = found.chart.min(axis=0), found.chart.max(axis=0)
     patches = pooled(found.chart, cells.moments.means_mm, cells.precisions * found.trust)
     parts, rest = _apart(found, cells, patches, lambda at: _waves(found.form, at, bounds))
-    return parts, np.where(_one_sided(rest, found, cells, patches), 0.0, rest)
+    told = ~_one_sided(rest, found, cells, patches)
+    held = np.where(told, patches.held, 0.0)
+    # Of the whole distances: the waves take a dent apart among them, and none then sees it.
+    whole = patches.mean(found.distances_mm, cells.precisions * found.trust)
+    dents = [_dents(whole, held, patches, reach) for reach in _REACHES]
+    return parts, np.where(told, rest, 0.0), np.concatenate(dents)
+
+
+def _dents(distances: FloatArray, held: FloatArray, patches: Patches, reach: int) -> FloatArray:
+    """Mean distances of windows of patches, in standard deviations, (q,)."""
+    sums = patches.windows(held * distances, reach)
+    weights = patches.windows(held, reach)
+    return np.asarray(sums[weights > 0.0] / np.sqrt(weights[weights > 0.0]))
 
 
 def gained(found: Fitted, other: Form, cells: Cells) -> float:

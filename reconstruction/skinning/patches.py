@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
 
@@ -22,6 +23,7 @@ class Patches:
     of_cell: IntArray  # (m,), the patch of every cell; -1: it weighs nothing
     held: FloatArray  # (k,), sums of the weights
     middles_mm: FloatArray  # (k, 3)
+    boxes: IntArray  # (k, 2), place on the chart's lattice, around and along
 
     def mean(self, values: FloatArray, weights: FloatArray) -> FloatArray:
         """Weighted means of values (m,) or (m, d) of the cells, (k,) or (k, d)."""
@@ -33,6 +35,19 @@ class Patches:
         """Sums of values (m,) of the cells, (k,)."""
         # One place up: the first is of what weighs nothing.
         return np.bincount(self.of_cell + 1, values, len(self.held) + 1)[1:].astype(np.float64)
+
+    def windows(self, values: FloatArray, reach: int) -> FloatArray:
+        """Sums of values (k,) of the patches at most so many boxes away, over the lattice.
+
+        The lattice closes around. Where the chart does not, a window holds some from both of its
+        sides: as good a sample of noise as any.
+        """
+        lattice = np.zeros(_COUNTS)
+        lattice[self.boxes[:, 0], self.boxes[:, 1]] = values
+        padded = np.pad(lattice, ((reach, reach), (0, 0)), mode="wrap")
+        padded = np.pad(padded, ((0, 0), (reach, reach)))
+        side = 2 * reach + 1
+        return np.asarray(sliding_window_view(padded, (side, side)).sum(axis=(2, 3)).ravel())
 
     def along(self, function: Callable[[FloatArray], FloatArray], ways: FloatArray) -> FloatArray:
         """Derivative of a function of places (k, 3) -> (k, d) along ways (k, 3) at the middles."""
@@ -54,7 +69,8 @@ def pooled(chart: FloatArray, places_mm: FloatArray, weights: FloatArray) -> Pat
     filled = np.flatnonzero(sums > 0.0)
     number = np.full(len(sums), -1)
     number[filled] = np.arange(len(filled))
-    patches = Patches(number[box], sums[filled], np.zeros((len(filled), 3)))
+    boxes = np.column_stack(np.divmod(filled, _COUNTS[1]))
+    patches = Patches(number[box], sums[filled], np.zeros((len(filled), 3)), boxes)
     return replace(patches, middles_mm=patches.mean(places_mm, weights))
 
 

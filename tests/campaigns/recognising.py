@@ -182,6 +182,8 @@ def across_gaps(seed: int) -> tuple[float, float, float] | None:
 def pulls(scan: Scan, radius_at: Callable[[float], float], slope: float) -> FloatArray | None:
     """Errors over deviations: offsets, tilts, radius, and a cone's half angle, (5,) or (6,).
 
+    None where the scan is taken for something else.
+
     The true axis is sought in the found form's frame, by plain geometry.
 
     Parameters
@@ -192,7 +194,7 @@ def pulls(scan: Scan, radius_at: Callable[[float], float], slope: float) -> Floa
         Its rise, 0 for a cylinder.
     """
     shape = shape_of(scan)
-    if shape is None or not isinstance(shape.form, Cylinder | Cone):
+    if shape is None or not isinstance(shape.form, Cone if slope else Cylinder):
         return None
     form, frame = shape.form, shape.form.frame
     axis = scan.turn[:, 2]
