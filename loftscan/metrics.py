@@ -93,7 +93,7 @@ def _sections(cutting: Sliced, done: AnyReconstruction) -> dict[str, object]:
         "control_points": sum(len(curve.control_points_mm) for curve in curves),
         "patch_control_points": sum(patch.weights.size for patch in done.patches),
         "thickness_mm": float(np.median([section.width_mm for section in sections])),
-        "thickness_definition": own.pop("thickness_definition"),
+        "thickness_definition": f"median over sections of 4 sigma, {done.SIGMA_RULE}",
         "radius_mm": _finite(float(np.median([section.radius_mm for section in sections]))),
         "gap_fraction": sum(section.gap_mm for section in sections) / length,
         "sections_open": sum(not section.closed for section in sections),
@@ -104,7 +104,6 @@ def _sections(cutting: Sliced, done: AnyReconstruction) -> dict[str, object]:
 def _of_paper(done: Reconstruction) -> dict[str, object]:
     sections = done.sections
     return {
-        "thickness_definition": "median over sections of 4 sigma, sigma from local parabolas",
         "cell_mm": float(np.median([s.resolution.cell_mm for s in sections])),
         "cell_by_rule_mm": float(np.median([s.resolution.rule_mm for s in sections])),
         "sections_not_simple": sum(
@@ -116,7 +115,6 @@ def _of_paper(done: Reconstruction) -> dict[str, object]:
 def _of_fit(done: FittedReconstruction) -> dict[str, object]:
     branching, skins = done.skinned.branching, done.skinned.skins
     return {
-        "thickness_definition": "median over sections of 4 sigma, sigma of points across curves",
         "contours": sum(len(section.outlines.outlines) for section in done.sections),
         "contours_left_out": len(branching.left_out),
         "contours_open": sum(len(section.outlines.runs) for section in done.sections),
@@ -135,7 +133,6 @@ def is_one_turn(rotations: float) -> bool:
 
 def _residuals(done: AnyReconstruction) -> dict[str, object]:
     near, every = done.residual, done.residual_all
-    reach = "3 cells" if isinstance(done, Reconstruction) else "6 standard deviations"
     return {
         "residual_rms_mm": _finite(near.rms_mm),
         "residual_max_mm": near.max_mm,
@@ -143,7 +140,7 @@ def _residuals(done: AnyReconstruction) -> dict[str, object]:
         "residual_points": near.count,
         "residual_rule": (
             "in-plane distance of every unreduced point to its section's curve; points farther "
-            f"than {reach} belong to something the section does not describe and are left out"
+            f"than {done.REACH} belong to something the section does not describe and are left out"
         ),
         "residual_all_rms_mm": _finite(every.rms_mm),
         "residual_all_max_mm": every.max_mm,

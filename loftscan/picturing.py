@@ -46,55 +46,44 @@ def draw_pictures(result: Result) -> tuple[Picture, ...]:
     """The pictures of the report, in order."""
     camera = view_of(result)
     left_out = np.concatenate([np.empty((0, 3)), *(s.left_out_mm for s in result.sections)])
-    aside = np.concatenate([np.empty((0, 3)), *result.cutting.aside_mm.values()])
+    mesh = encode_png(draw_mesh(result, camera))
+    deviation = draw_deviation(result, camera)
     return (
-        Picture(
-            encode_png(draw_mesh(result, camera)),
-            "The mesh",
-            "Orange: bridged gaps and end caps, which stand on no measured point.",
-        ),
-        Picture(
-            figures.png(
-                figures.cloud_figure(
-                    result.sample_mm,
-                    np.concatenate([aside, left_out]),
-                    title="The cloud",
-                    camera=camera,
-                )
-            ),
-            "The cloud",
-            f"A sample of {len(result.sample_mm)} points, and what was set aside or left out.",
-        ),
-        Picture(
-            figures.png(
-                figures.sections_figure(
-                    [line for section in result.sections for line in polylines(section)],
-                    title="The sections",
-                    camera=camera,
-                    left_out_mm=left_out,
-                )
-            ),
-            "The sections",
-            "One NURBS curve a contour."
-            if isinstance(result.reconstruction, FittedReconstruction)
-            else "One closed NURBS curve a slice.",
-        ),
-        Picture(
-            draw_deviation(result, camera), "Deviation of the points from the mesh", _rule(result)
-        ),
+        Picture(mesh, "The mesh", "Orange: gaps and end caps, which stand on no measured point."),
+        _cloud(result, camera, left_out),
+        _sections(result, camera, left_out),
+        Picture(deviation, "Deviation of the points from the mesh", _rule(result)),
         *_certainty(result, camera),
-        Picture(
-            figures.png(
-                figures.histogram_figure(
-                    binned=_histogram(result), title="Distribution of the residual"
-                )
-            ),
-            "Distribution of the residual",
-            f"In-plane distance of {result.reconstruction.residual_all.count} unreduced points to "
-            "their sections; the outer bins hold everything beyond.",
-        ),
+        _residual(result),
         *_section_pictures(result),
     )
+
+
+def _cloud(result: Result, camera: Camera, left_out_mm: FloatArray) -> Picture:
+    title = "The cloud"
+    aside = np.concatenate([left_out_mm, *result.cutting.aside_mm.values()])
+    figure = figures.cloud_figure(result.sample_mm, aside, title=title, camera=camera)
+    caption = f"A sample of {len(result.sample_mm)} points, and what was set aside or left out."
+    return Picture(figures.png(figure), title, caption)
+
+
+def _sections(result: Result, camera: Camera, left_out_mm: FloatArray) -> Picture:
+    title = "The sections"
+    lines = [line for section in result.sections for line in polylines(section)]
+    figure = figures.sections_figure(lines, title=title, camera=camera, left_out_mm=left_out_mm)
+    fitted = isinstance(result.reconstruction, FittedReconstruction)
+    caption = "One NURBS curve a contour." if fitted else "One closed NURBS curve a slice."
+    return Picture(figures.png(figure), title, caption)
+
+
+def _residual(result: Result) -> Picture:
+    title = "Distribution of the residual"
+    figure = figures.histogram_figure(binned=_histogram(result), title=title)
+    caption = (
+        f"In-plane distance of {result.reconstruction.residual_all.count} unreduced points to "
+        "their sections; the outer bins hold everything beyond."
+    )
+    return Picture(figures.png(figure), title, caption)
 
 
 def view_of(result: Result) -> Camera:

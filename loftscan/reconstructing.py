@@ -14,24 +14,19 @@ from numpy.typing import ArrayLike
 from loftscan import metrics, provenance
 from loftscan.findings import judge
 from loftscan.inputs import Input, Unit, judge_size, open_input
-from loftscan.methods import (
-    AnyReconstruction,
-    Course,
-    FitCourse,
-    Method,
-    PaperCourse,
-    Remedy,
-)
+from loftscan.methods import AnyCourse, AnyReconstruction, Method
 from loftscan.progress import Progress, silent
 from loftscan.result import Result
 from reconstruction.arrays import FloatArray
 from reconstruction.cleanup import CleanupSettings
 from reconstruction.comparison import Deviation, compare_to_mesh
+from reconstruction.course import OF_A_CLOUD, run_course
 from reconstruction.errors import TooFewPoints
+from reconstruction.fit_pipeline import FitCourse, FittedReconstruction
 from reconstruction.fitting.curve import Exact
 from reconstruction.paper import PaperSettings
+from reconstruction.pipeline import PaperCourse, Reconstruction
 from reconstruction.reduction import Box
-from reconstruction.sections import Skipped
 from reconstruction.slices import Slice
 from reconstruction.slicing import PASSES, Cutting, cut_cloud
 from reconstruction.survey import Axis, Pass
@@ -39,9 +34,6 @@ from reconstruction.survey import Axis, Pass
 _SAMPLE = 200_000
 _MOST_INTERMEDIATE = 1000
 _LEAST_MM = 1e-9  # no length below the size of an atom is meant
-_REMEDY = Remedy(
-    "choose a smaller --spacing-mm", "Try another --axis, --spacing-mm or --resolution-mm"
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +80,7 @@ class Settings:
                     f"{option}: means nothing to --method {self.method.value}; leave it out"
                 )
 
-    def course(self) -> Course:
+    def course(self) -> AnyCourse:
         """Begin a reconstruction by the method that was chosen."""
         if self.method is Method.FIT:
             return FitCourse(self.exact, self.cleanup)
@@ -176,14 +168,12 @@ def _counted(opened: Input, progress: Progress) -> Pass:
 def _draw(
     slices: Iterator[Slice], count: int, settings: Settings, progress: Progress
 ) -> AnyReconstruction:
-    course, skipped = settings.course(), list[Skipped]()
-    for number, piece in enumerate(slices, start=1):
-        try:
-            course.draw(piece)
-        except TooFewPoints as few:
-            skipped.append(Skipped(piece.index, len(piece.points_mm), str(few)))
+    running = run_course(slices, settings.course(), OF_A_CLOUD)
+    for number, ready in enumerate(running, start=1):
+        if isinstance(ready, (Reconstruction, FittedReconstruction)):
+            return ready
         progress("sections", number, count)
-    return course.finish(skipped, _REMEDY)
+    raise AssertionError("a course ends with its surface")
 
 
 def _compare(sample_mm: FloatArray, done: AnyReconstruction, settings: Settings) -> Deviation:

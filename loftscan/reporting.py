@@ -52,9 +52,9 @@ def _subtitle(result: Result) -> str:
 def _findings(result: Result) -> tuple[Finding, ...]:
     sound = result.reconstruction.cleaned.after
     if sound.sound:
-        ends = "; its two ends are flat caps"
         drawn = isinstance(result.reconstruction, Reconstruction)
-        state = f"The mesh is closed, manifold and oriented{ends if drawn else ''}."
+        ends = "; its two ends are flat caps" if drawn else ""
+        state = f"The mesh is closed, manifold and oriented{ends}."
         findings = [Finding(Severity.GOOD, state)]
     else:
         state = f"The mesh is no sound solid: {sound.boundary_edges} open edges."
@@ -79,13 +79,12 @@ def _explain_left_out(result: Result) -> tuple[str, ...]:
     aside = ", ".join(
         f"{count} {reason.name.lower()}" for reason, count in result.cutting.aside.items() if count
     )
-    drawn = isinstance(done, Reconstruction)
-    reach = "three cells" if drawn else "six standard deviations"
     doubts = () if isinstance(done, Reconstruction) else tuple(tell_doubts(done))
     return (
         f"{left_out} of {every} points in the sections ({left_out / max(1, every):.2%}) lie "
-        f"farther than {reach} from their section's curve. They are drawn in red and are in no "
-        f"residual but the one named so (rms {done.residual_all.rms_mm:.3g} mm over all points).",
+        f"farther than {done.REACH} from their section's curve. They are drawn in red and are in "
+        "no residual but the one named so "
+        f"(rms {done.residual_all.rms_mm:.3g} mm over all points).",
         f"Set aside before slicing: {aside or 'nothing'}.",
         "Caps are not measured: slices parallel to a flat end never sample it.",
         *doubts,

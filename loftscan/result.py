@@ -7,7 +7,7 @@ import json
 import os
 import shutil
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -90,6 +90,7 @@ class Result:
         formats: Iterable[str] | None = None,
         overwrite: bool = False,
         cad: CadWriter | None = None,
+        remark: Callable[[str], None] | None = None,
     ) -> Path:
         """Write the result folder; it appears whole or not at all.
 
@@ -101,6 +102,9 @@ class Result:
             Of `FORMATS`; by default all whose libraries are installed.
         cad
             A writer of the same formats that was started earlier, to save its loading time.
+        remark
+            Called with what a person should know of the files, as that the surfaces make no valid
+            solid; by default that is a `NoSolid` warning.
 
         Raises
         ------
@@ -109,26 +113,31 @@ class Result:
         OSError
             For example a full disk; then nothing half-written is left.
         """
-        target = Path(folder)
+        target, tell = Path(folder), remark or _warn
         chosen = choose_formats(formats)
         with appearing_whole(target, overwrite=overwrite) as partial:
             self._write_json_files(partial)
             if cad is not None:
-                self._write_rest(partial, chosen, cad)
+                self._write_rest(partial, chosen, cad, tell)
             else:
                 with CadWriter(chosen) as own:
-                    self._write_rest(partial, chosen, own)
+                    self._write_rest(partial, chosen, own, tell)
         return target
 
-    def _write_rest(self, folder: Path, formats: tuple[str, ...], cad: CadWriter) -> None:
+    def _write_rest(
+        self,
+        folder: Path,
+        formats: tuple[str, ...],
+        cad: CadWriter,
+        remark: Callable[[str], None],
+    ) -> None:
         from loftscan.reporting import write_result_report
 
         cad.write(folder, name=self.name, solid=_solid_of(self.reconstruction))
         self._write_meshes(folder, formats)
         write_result_report(folder / "report.html", self)
         for reason in cad.finish():
-            message = f"surface.step holds open shells, no solid: {reason}"
-            warnings.warn(message, NoSolid, stacklevel=4)
+            remark(f"surface.step holds open shells, no solid: {reason}")
 
     def _write_json_files(self, folder: Path) -> None:
         name, said = self.name, self.provenance
@@ -162,6 +171,10 @@ class Result:
             for section in self.sections
             for drawn in section.curves
         ]
+
+
+def _warn(words: str) -> None:
+    warnings.warn(words, NoSolid, stacklevel=3)
 
 
 def _solid_of(done: AnyReconstruction) -> SolidOrder | None:

@@ -15,7 +15,7 @@ from loftscan import metrics, provenance
 from loftscan.findings import judge, judge_arrivals
 from loftscan.gathering import Gathered, Intake, coverage
 from loftscan.inputs import Unit
-from loftscan.methods import AnyReconstruction, AnySection, Remedy
+from loftscan.methods import AnyReconstruction, AnySection
 from loftscan.progress import Progress, silent
 from loftscan.reconstructing import Settings
 from loftscan.result import Result
@@ -23,13 +23,14 @@ from loftscan.scans import Absent, Arrival, Source
 from loftscan.stage_clock import StageClock
 from loftscan.updates import Finished, Fitted, Missed, Standing, Update
 from reconstruction.comparison import Deviation, compare_to_mesh
+from reconstruction.course import Remedy
 from reconstruction.errors import TooFewPoints
 from reconstruction.sections import Skipped
 from reconstruction.survey import Axis
 
 _REMEDY = Remedy(
     "scan more slices",
-    "Look whether the sensor sees the part all round, or try another --resolution-mm",
+    "Look whether the sensor sees the part all round",
 )
 
 
@@ -39,12 +40,12 @@ def stream(
     *,
     name: str | None = None,
     progress: Progress = silent,
-    prepare: Callable[[], None] = lambda: None,
+    prepare: Callable[[Settings], None] = lambda _: None,
     now_s: Callable[[], float] = time.time,
 ) -> Generator[Update]:
     """Reconstruct slices as they come; the last update is the result.
 
-    `prepare` is called before the first slice is asked for.
+    `prepare` is called with the settings before the first slice is asked for.
 
     Raises
     ------
@@ -115,8 +116,8 @@ class _Run:
         self._total: int | None = None
         self._done = 0
 
-    def updates(self, prepare: Callable[[], None]) -> Generator[Update]:
-        prepare()
+    def updates(self, prepare: Callable[[Settings], None]) -> Generator[Update]:
+        prepare(self._settings)
         self._clock.to("slicing")
         with closing(self._source.pieces()) as pieces:
             for piece in pieces:

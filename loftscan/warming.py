@@ -9,22 +9,24 @@ from __future__ import annotations
 import numpy as np
 
 from loftscan.gathering import Intake, coverage
+from loftscan.reconstructing import Settings
 from loftscan.scans import Arrival, corners_of
-from reconstruction.cleanup import CleanupSettings
-from reconstruction.paper import PaperSettings
-from reconstruction.pipeline import reconstruct_paper
+from reconstruction.course import OF_A_CLOUD, run_course
 from reconstruction.slices import Frame, Slice
 
-_POINTS = 600
-_GAP = 40  # points left out, so that a gap is walked over
+_RINGS = 3  # a surface of two has no net to lay over the one between
+_POINTS = 6000  # so many are looked at by cells
+_GAP = 400  # points left out, so that a gap is walked over
+_WALL_MM = 6.0  # between the outside and a hole
+_SPARSE, _ASTRAY_MM = 601, 1.0  # a few points belong to nothing
 
 
-def warm_up() -> None:
-    """Take a made ring the whole way, twice."""
+def warm_up(settings: Settings | None = None) -> None:
+    """Take made rings the whole way, by the method of the settings."""
     intake = Intake(None)
-    pieces = [intake.take(Arrival(_ring(index), np.zeros(6, np.int64))) for index in range(2)]
+    pieces = [intake.take(Arrival(_ring(index), np.zeros(6, np.int64))) for index in range(_RINGS)]
     coverage(pieces[0])
-    for _ in reconstruct_paper(pieces, PaperSettings(), CleanupSettings()):
+    for _ in run_course(pieces, (settings or Settings()).course(), OF_A_CLOUD):
         pass
 
 
@@ -32,6 +34,8 @@ def _ring(index: int) -> Slice:
     rng = np.random.default_rng(index)
     angle = np.linspace(0.0, 2.0 * np.pi, _POINTS, endpoint=False)[_GAP:]
     radius = 20.0 + rng.normal(0.0, 0.05, len(angle))
+    radius[::3] -= _WALL_MM  # a hole: two curves a slice
+    radius[1::_SPARSE] += _ASTRAY_MM
     height = np.full(len(angle), float(index))
     points_mm = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])
     points_mm.flags.writeable = False

@@ -5,23 +5,35 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
+from typing import ClassVar
 
 import numpy as np
 
 from reconstruction.arrays import FloatArray
 from reconstruction.cleanup import Cleaned, CleanupSettings, clean
-from reconstruction.fitted_sections import FittedSection
+from reconstruction.course import Remedy, too_few
+from reconstruction.fitted_sections import (
+    LEFT_OUT_SIGMAS,
+    FittedSection,
+    draw_fitted_section,
+    explain_nothing,
+)
+from reconstruction.fitting.curve import Exact
 from reconstruction.meshing import Mesh
 from reconstruction.nurbs import Surface
 from reconstruction.sections import Residual, Skipped
 from reconstruction.skinning.drawing import SliceOutlines
 from reconstruction.skinning.ends import Brim
 from reconstruction.skinning.surfacing import Skinned, skin_slices
+from reconstruction.slices import Slice
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedReconstruction:
     """Everything that became of the slices."""
+
+    REACH: ClassVar = f"{LEFT_OUT_SIGMAS:g} standard deviations"  # as in `pipeline`
+    SIGMA_RULE: ClassVar = "sigma of points across curves"
 
     sections: tuple[FittedSection, ...]
     skipped: tuple[Skipped, ...]
@@ -55,22 +67,31 @@ class FittedReconstruction:
         return np.array([brim.height_mm for brim in brims if isinstance(brim, Brim)])
 
 
-def skin_sections(
-    stack: Sequence[SliceOutlines],
-    sections: Sequence[FittedSection],
-    skipped: Sequence[Skipped],
-    cleanup: CleanupSettings,
-) -> FittedReconstruction:
-    """Skin all slices, those without a section too, and clean the mesh.
+class FitCourse:
+    """`--method fit`: what a slice leaves is its curves, and the moments of their points."""
 
-    Raises
-    ------
-    NotLoftable
-        Fewer than two slices with outlines, or none that follow each other.
-    CleanupFailed, MissingExtra
-        From the mesh cleanup.
-    """
-    skinned = skin_slices(stack)
-    return FittedReconstruction(
-        tuple(sections), tuple(skipped), skinned, clean(skinned.mesh, cleanup)
-    )
+    def __init__(self, exact: Exact, cleanup: CleanupSettings) -> None:
+        self._exact = exact
+        self._cleanup = cleanup
+        self._stack: list[SliceOutlines] = []
+        self._sections: list[FittedSection] = []
+
+    def draw(self, piece: Slice) -> FittedSection:
+        """Turn the next slice into a section."""
+        drawn, section = draw_fitted_section(piece, exact=self._exact)
+        # Without a section, too: that a slice is empty, or a heap, says how a part goes on.
+        self._stack.append(drawn)
+        if section is None:
+            raise explain_nothing(drawn, len(piece.points_mm))
+        self._sections.append(section)
+        return section
+
+    def finish(self, skipped: Sequence[Skipped], remedy: Remedy) -> FittedReconstruction:
+        """One surface a branch through all slices, those without a section too."""
+        indices = [section.index for section in self._sections]
+        closed = [section.index for section in self._sections if section.closed]
+        if len(closed) < 2:
+            raise too_few("closed section", closed, indices, skipped, remedy)
+        skinned = skin_slices(self._stack)
+        cleaned = clean(skinned.mesh, self._cleanup)
+        return FittedReconstruction(tuple(self._sections), tuple(skipped), skinned, cleaned)

@@ -19,7 +19,7 @@ from reconstruction.slices import Frame, Slice
 
 _STEPS_A_SPAN = 8  # of the polygon that stands for a curve when residuals are measured ...
 _LEAST_STEPS = 720  # ... and on an exact circle, which has few control points
-_LEFT_OUT_SIGMAS = 6.0  # farther than this many standard deviations a point belongs elsewhere
+LEFT_OUT_SIGMAS = 6.0  # farther than this many standard deviations a point belongs elsewhere
 _EXACT = 1e-7  # of a slice's size: scatter below it is none
 _LEFT_OUT_DRAWN = 2_000
 _RESIDUAL_RANGE_MM = 5.0  # of the histogram
@@ -108,7 +108,7 @@ def draw_fitted_section(
     planar = np.ascontiguousarray(piece.frame.to_plane(piece.points_mm)[:, :2])
     distances = _distances(planar, fitted)
     size_mm = float(np.ptp(planar, axis=0).max())
-    far = np.abs(distances) > _LEFT_OUT_SIGMAS * max(_sigma_mm(fitted), _EXACT * size_mm)
+    far = np.abs(distances) > LEFT_OUT_SIGMAS * max(_sigma_mm(fitted), _EXACT * size_mm)
     section = FittedSection(
         index=piece.index,
         points=len(piece.points_mm),

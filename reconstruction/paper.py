@@ -40,7 +40,7 @@ _FEWEST_CELLS = 4
 _STEPS_A_SPAN = 8  # of the polygon that stands for a curve when residuals are measured
 _GAP_CELLS = 2.5  # a bridged segment longer than this many cells is a gap
 _BLOB_WIDTHS = 2.0  # a slice narrower than this many cloud widths is a blob, as at an apex
-_LEFT_OUT_CELLS = 3.0  # farther than this many cells a point belongs to something else
+LEFT_OUT_CELLS = 3.0  # farther than this many cells a point belongs to something else
 _LEFT_OUT_DRAWN = 2_000
 
 
@@ -119,7 +119,7 @@ def draw_section(piece: Slice, settings: PaperSettings, base: Base | None) -> tu
     final = reknot(flat, count)
     gaps, gap_mm = map_gaps(flat, find_gaps(contour, resolution), count)
     distances = _distances(planar[:, :2], final)
-    far = np.abs(distances) > _LEFT_OUT_CELLS * resolution.cell_mm
+    far = np.abs(distances) > LEFT_OUT_CELLS * resolution.cell_mm
     width = settings.residual_range_mm
     section = Section(
         index=piece.index,

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import reduce
+from typing import ClassVar
 
 import numpy as np
 
 from reconstruction.arrays import FloatArray
 from reconstruction.cleanup import Cleaned, CleanupSettings, clean
-from reconstruction.errors import NotLoftable
+from reconstruction.course import OF_A_CLOUD, Remedy, run_course, too_few
 from reconstruction.lofting import lay_rows, loft_run, split_runs
 from reconstruction.meshing import Mesh, mesh_rows
 from reconstruction.nurbs import Surface
-from reconstruction.paper import PaperSettings, draw_sections
+from reconstruction.paper import LEFT_OUT_CELLS, Base, PaperSettings, draw_section
 from reconstruction.sections import Residual, Section, Skipped
 from reconstruction.slices import Slice
 
@@ -25,6 +26,9 @@ _GRAZING_TIMES = 2.0  # and how much more synthetic than a typical section
 @dataclass(frozen=True, slots=True, eq=False)
 class Reconstruction:
     """Everything that became of the slices."""
+
+    REACH: ClassVar = f"{LEFT_OUT_CELLS:g} cells"  # points farther from their curve are left out
+    SIGMA_RULE: ClassVar = "sigma from local parabolas"
 
     sections: tuple[Section, ...]
     skipped: tuple[Skipped, ...]
@@ -71,19 +75,33 @@ def reconstruct_paper(
     CleanupFailed, MissingExtra
         From the mesh cleanup.
     """
-    sections: list[Section] = []
-    skipped: list[Skipped] = []
-    for drawn in draw_sections(slices, settings):
-        if isinstance(drawn, Section):
-            sections.append(drawn)
-        else:
-            skipped.append(drawn)
-        yield drawn
-    sections, trimmed = trim_ends(sections)
-    skipped += trimmed
-    if len(sections) < 2:
-        raise NotLoftable(_explain(sections, skipped), indices=tuple(s.index for s in sections))
-    yield loft(sections, skipped, settings, cleanup)
+    yield from run_course(slices, PaperCourse(settings, cleanup), OF_A_CLOUD)
+
+
+class PaperCourse:
+    """`--method paper`: the 25 % rule looks only back, so a section is ready with its slice."""
+
+    def __init__(self, settings: PaperSettings, cleanup: CleanupSettings) -> None:
+        self._settings = settings
+        self._cleanup = cleanup
+        self._base: Base | None = None
+        self._sections: list[Section] = []
+
+    def draw(self, piece: Slice) -> Section:
+        """Turn the next slice into a section."""
+        section, self._base = draw_section(piece, self._settings, self._base)
+        self._sections.append(section)
+        return section
+
+    def finish(self, skipped: Sequence[Skipped], remedy: Remedy) -> Reconstruction:
+        """Patches and mesh of all sections but those that only grazed the part."""
+        sections, trimmed = trim_ends(self._sections)
+        every = [*skipped, *trimmed]
+        if len(sections) < 2:
+            indices = [section.index for section in sections]
+            finer = f"{remedy.other_settings}, or try another --resolution-mm"
+            raise too_few("section", indices, indices, every, replace(remedy, other_settings=finer))
+        return loft(sections, every, self._settings, self._cleanup)
 
 
 def trim_ends(sections: list[Section]) -> tuple[list[Section], list[Skipped]]:
@@ -125,14 +143,3 @@ def loft(
         mesh=cleaned.mesh,
         cleaned=cleaned,
     )
-
-
-def _explain(sections: list[Section], skipped: list[Skipped]) -> str:
-    found = (
-        f"{len(sections)} of {len(sections) + len(skipped)} slices gave a section, two are needed"
-    )
-    if not skipped:
-        return f"{found}: choose a smaller --spacing-mm"
-    fullest = max(skipped, key=lambda each: each.points)
-    remedy = "Try another --axis, --spacing-mm or --resolution-mm"
-    return f"{found}; slice {fullest.index}: {fullest.reason}. {remedy}"

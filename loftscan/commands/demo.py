@@ -97,7 +97,7 @@ def _followed(
         coming = SupervisedScan(FollowedScan(scan.folder, pause=pause), scan)
         updates = stream(coming, Settings(), progress=progress, prepare=warm_up)
         result = finish(watch.passing(updates))
-        save(result, out, formats, cad, progress, overwrite=overwrite)
+        save(result, out, formats, cad, progress, overwrite=overwrite, json_lines=json_lines)
     return result
 
 

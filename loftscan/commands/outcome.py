@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import time
-import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,16 +43,18 @@ def save(
     progress: Progress,
     *,
     overwrite: bool,
+    json_lines: bool,
 ) -> None:
     """Write the result folder, told as progress."""
-    from loftscan.result import NoSolid
+
+    def remark(words: str) -> None:
+        if json_lines:
+            print(json.dumps({"event": "remark", "warning": words}, ensure_ascii=False))
+        else:
+            typer.echo(f"warning: {words}", err=True)
 
     progress("saving", 0, 1)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", NoSolid)
-        result.save(out, formats=formats, overwrite=overwrite, cad=cad)
-    for each in caught:
-        typer.echo(f"warning: {each.message}", err=True)
+    result.save(out, formats=formats, overwrite=overwrite, cad=cad, remark=remark)
     progress("saving", 1, 1)
 
 

@@ -94,7 +94,7 @@ def reconstruct(
             else:
                 making = _made(source, settings, json_lines=json_lines)
             with making as (result, progress):
-                save(result, out, wanted, cad, progress, overwrite=overwrite)
+                save(result, out, wanted, cad, progress, overwrite=overwrite, json_lines=json_lines)
         tell(result, out, json_lines=json_lines)
         if not json_lines:
             _tell_lag(result)

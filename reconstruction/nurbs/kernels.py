@@ -409,6 +409,24 @@ def scattered_points(
         points[m, 0], points[m, 1], points[m, 2] = s[0] / s[3], s[1] / s[3], s[2] / s[3]
 
 
+@njit(cache=True, error_model="numpy", fastmath={"contract"}, inline="always")
+def patch_frame(
+    net: FloatArray,
+    corner: tuple[int, int],
+    bases: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    unroll_u: Unroll,
+    unroll_v: Unroll,
+) -> Frame:
+    """Point and both first derivatives on the patch that begins at a corner of the net."""
+    bu, du, bv, dv = bases
+    s = su = sv = (0.0, 0.0, 0.0, 0.0)
+    for r in range(len(unroll_u)):
+        along = patch_row_sum(net, corner[0] + r, corner[1], bv, unroll_v)
+        across = patch_row_sum(net, corner[0] + r, corner[1], dv, unroll_v)
+        s, su, sv = added(s, bu[r], along), added(su, du[r], along), added(sv, bu[r], across)
+    return projected_frame(s, su, sv)
+
+
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def scattered_normals(
     net: FloatArray,
@@ -435,12 +453,8 @@ def scattered_normals(
         j = span_of(v[m], knots_v, q, starts_v, scale_v)
         fast_basis_into(u[m], i, knots_u, table_u, bu, du, unroll_u)
         fast_basis_into(v[m], j, knots_v, table_v, bv, dv, unroll_v)
-        s = su = sv = (0.0, 0.0, 0.0, 0.0)
-        for r in range(len(unroll_u)):
-            along = patch_row_sum(net, i - p + r, j - q, bv, unroll_v)
-            across = patch_row_sum(net, i - p + r, j - q, dv, unroll_v)
-            s, su, sv = added(s, bu[r], along), added(su, du[r], along), added(sv, bu[r], across)
-        point, tangent_u, tangent_v = projected_frame(s, su, sv)
+        corner, bases = (i - p, j - q), (bu, du, bv, dv)
+        point, tangent_u, tangent_v = patch_frame(net, corner, bases, unroll_u, unroll_v)
         points[m, 0], points[m, 1], points[m, 2] = point
         normal = unit_normal(tangent_u, tangent_v, least)
         normals[m, 0], normals[m, 1], normals[m, 2] = normal
@@ -471,12 +485,8 @@ def scattered_tangents(
         j = span_of(v[m], knots_v, q, starts_v, scale_v)
         fast_basis_into(u[m], i, knots_u, table_u, bu, du, unroll_u)
         fast_basis_into(v[m], j, knots_v, table_v, bv, dv, unroll_v)
-        s = su = sv = (0.0, 0.0, 0.0, 0.0)
-        for r in range(len(unroll_u)):
-            along = patch_row_sum(net, i - p + r, j - q, bv, unroll_v)
-            across = patch_row_sum(net, i - p + r, j - q, dv, unroll_v)
-            s, su, sv = added(s, bu[r], along), added(su, du[r], along), added(sv, bu[r], across)
-        frame = projected_frame(s, su, sv)
+        corner, bases = (i - p, j - q), (bu, du, bv, dv)
+        frame = patch_frame(net, corner, bases, unroll_u, unroll_v)
         frames[0][m, 0], frames[0][m, 1], frames[0][m, 2] = frame[0]
         frames[1][m, 0], frames[1][m, 1], frames[1][m, 2] = frame[1]
         frames[2][m, 0], frames[2][m, 1], frames[2][m, 2] = frame[2]

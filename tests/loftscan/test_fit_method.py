@@ -18,10 +18,12 @@ from reconstruction.arrays import FloatArray
 from reconstruction.errors import NotLoftable
 from reconstruction.exporting import read_sections_json, read_step, read_surface_json
 from reconstruction.fit_pipeline import FittedReconstruction
+from reconstruction.nurbs.surface_evaluation import evaluate_surface_at
 from reconstruction.slices import Frame, Slice
 
 SIGMA_MM = 0.05
 STEP_MM = 2.0
+BESIDE_MM = 5.0  # of the part's middle from the axis
 GAP = math.radians(40.0)
 
 
@@ -31,16 +33,17 @@ def radii(height_mm: float) -> tuple[float, float]:
 
 
 def ring(
-    index: int, *, seed: int = 0, turned: float = 0.0, aside_mm: float = 0.0, gap: bool = False
+    index: int, *, half_turned: bool = False, aside_mm: float = 0.0, gap: bool = False
 ) -> Slice:
-    """A slice of the part, shuffled, its points 0.2 mm apart."""
-    rng = np.random.default_rng(1000 * seed + index)
+    """A slice of the part, shuffled, its points 0.2 mm apart; it stands beside the axis."""
+    rng = np.random.default_rng(index)
     height = STEP_MM * index
     seen = math.tau - (GAP if gap else 0.0)
-    angle = rng.permutation(np.arange(500) + rng.uniform(0.0, 1.0, 500)) * seen / 500 + turned
+    angle = rng.permutation(np.arange(500) + rng.uniform(0.0, 1.0, 500)) * seen / 500
     a, b = radii(height)
     places = np.column_stack([a * np.cos(angle), b * np.sin(angle)])
-    places += rng.normal(0.0, SIGMA_MM, places.shape) + np.array([aside_mm, 0.0])
+    places += rng.normal(0.0, SIGMA_MM, places.shape) + np.array([BESIDE_MM + aside_mm, 0.0])
+    places *= -1.0 if half_turned else 1.0
     points = np.column_stack([places, np.full(len(places), height)])
     return Slice(index, points, Frame(np.array([0.0, 0.0, height]), np.eye(3)))
 
@@ -56,7 +59,7 @@ def stack(count: int = 12) -> list[Slice]:
 
 def off_mm(places_mm: FloatArray) -> FloatArray:
     """Roughly how far places lie from the true wall, in the plane."""
-    x, y, z = places_mm.T
+    x, y, z = places_mm.T - [[BESIDE_MM], [0.0], [0.0]]
     a, b = 20.0 + 0.1 * z, 14.0 + 2.0 * np.sin(z / 9.0)
     level = np.hypot(x / a, y / b)
     slope = np.hypot(x / a**2, y / b**2) / level
@@ -78,7 +81,7 @@ def test_the_surface_is_nearer_to_the_truth_than_the_noise_and_knows_it(made: Re
         for each in np.meshgrid(np.linspace(0, end_u, 90), np.linspace(1, end_v - 1, 40))
     )
     measured = ~skin.synthetic(u, v)
-    off = off_mm(skin.fit.net.surface()(u, v))
+    off = off_mm(evaluate_surface_at(skin.fit.net.surface(), u, v))
     assert np.sqrt(np.mean(off[measured] ** 2)) < 0.3 * SIGMA_MM
     assert np.sqrt(np.mean(off[~measured] ** 2)) < 1.5 * SIGMA_MM  # in the gap, and at the ends
     pulls = off / skin.deviation_mm(u, v)
@@ -147,8 +150,12 @@ def test_an_empty_slice_in_the_middle_is_named_and_bridged() -> None:
     assert any("slice 6" in warning for warning in last.result.warnings)
 
 
-def test_a_slice_that_lies_elsewhere_is_named_and_does_not_pull_the_surface() -> None:
-    slices = [ring(6, aside_mm=9.0) if piece.index == 6 else piece for piece in stack()]
+@pytest.mark.parametrize("wrong", [ring(6, aside_mm=9.0), ring(6, half_turned=True)])
+def test_a_slice_that_lies_elsewhere_or_is_turned_is_named_and_does_not_pull_the_surface(
+    wrong: Slice,
+) -> None:
+    assert np.abs(off_mm(wrong.points_mm)).max() > 5.0
+    slices = [wrong if piece.index == 6 else piece for piece in stack()]
     result = reconstruct(slices, method="fit")
     assert result.metrics["watertight"]
     assert any("slice 6" in warning for warning in result.warnings)
@@ -156,11 +163,13 @@ def test_a_slice_that_lies_elsewhere_is_named_and_does_not_pull_the_surface() ->
     assert np.abs(off_mm(walls)).max() < 6 * SIGMA_MM
 
 
-def test_a_slice_that_is_turned_half_around_changes_nothing_of_a_part_that_is_not() -> None:
-    slices = [ring(6, turned=math.pi) if piece.index == 6 else piece for piece in stack()]
-    result = reconstruct(slices, method="fit")
-    assert result.metrics["watertight"]
-    assert np.abs(off_mm(result.mesh.vertices_mm[result.mesh.vertices_mm[:, 2] > 1.0])).max() < 1.0
+def test_two_identical_slices_are_a_prism_between_them() -> None:
+    low, high = ring(0), ring(1)
+    same = low.points_mm + np.array([0.0, 0.0, STEP_MM])
+    result = reconstruct([low, Slice(1, same, high.frame)], method="fit")
+    a, b = radii(0.0)
+    # Half a step is added beyond either slice, where no slice tells of an end.
+    assert result.metrics["volume_mm3"] == pytest.approx(math.pi * a * b * 2.0 * STEP_MM, rel=0.01)
 
 
 def test_two_slices_are_enough_and_one_is_named_as_too_few() -> None:

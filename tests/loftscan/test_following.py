@@ -712,31 +712,34 @@ def test_a_slice_file_that_vanishes_or_is_empty_of_profiles_is_absent(path: Path
     assert indices_of(KeptScan(folder).pieces()) == ([], list(range(SLICES)))
 
 
-def test_after_the_warm_up_a_slice_compiles_nothing() -> None:
+@pytest.mark.parametrize("method", ["paper", "fit"])
+def test_after_the_warm_up_a_slice_compiles_nothing(method: str) -> None:
     # In a process of its own: in this one other tests have compiled everything.
-    code = """
+    code = f"""
 import sys
 import numpy as np
 from numba.core.registry import CPUDispatcher
 from loftscan.gathering import Intake, coverage
+from loftscan.methods import Method
+from loftscan.reconstructing import Settings
 from loftscan.scans import Arrival
 from loftscan.warming import warm_up
-from reconstruction.paper import PaperSettings, draw_section
 from tests.loftscan.test_following import ring_slice, with_strays
 
 def compiled():
     names = [name for name in sys.modules if name.startswith("reconstruction")]
     values = [value for name in names for value in vars(sys.modules[name]).values()]
-    kernels = {value for value in values if isinstance(value, CPUDispatcher)}
+    kernels = {{value for value in values if isinstance(value, CPUDispatcher)}}
     return sum(len(kernel.signatures) for kernel in kernels)
 
-warm_up()
+settings = Settings(method=Method("{method}"))
+warm_up(settings)
 before = compiled()
-intake, base = Intake(None), None
+intake, course = Intake(None), settings.course()
 for index in range(3):
     piece = intake.take(Arrival(with_strays(ring_slice(index)), np.zeros(6, int)))
     coverage(piece)
-    _, base = draw_section(piece, PaperSettings(), base)
+    course.draw(piece)
 assert sum(intake.gathered().aside.values()) == 6
 print(before, compiled())
 """

@@ -43,6 +43,8 @@ TRIES = 3  # where that machine was too late with a signal
 @pytest.fixture(scope="module")
 def station() -> Iterator[Simulated]:
     with simulate(seed=3, scale=SCALE) as simulated:
+        # A board is locked when it starts; later runs begin unhomed all the same.
+        succeeded(run("home", simulated))
         yield simulated
 
 
@@ -288,7 +290,10 @@ def test_a_profile_is_shown_counted_and_written(station: Simulated, place: Path)
     measured = [row for row in rows[1:] if row[4] == "measured"]
     assert 200 < len(measured) < 2 * 640
     # The sensor stands 225 mm before the axis, the vase has a radius from 20 to 60 mm.
-    assert all(165.0 < float(row[3]) < 225.0 for row in measured)
+    # One point in a thousand is an outlier by design: of some 460 beams rarely one, and five of
+    # them once in a hundred thousand runs.
+    astray = {row[1] for row in measured if not 165.0 < float(row[3]) < 225.0}
+    assert len(astray) < 5
     assert all(row[2] == row[3] == "" for row in rows[1:] if row[4] != "measured")
     assert Path("seen.png").read_bytes().startswith(b"\x89PNG")
     line = complaint(run("profile", station, "--csv", "seen.csv"), 2)
