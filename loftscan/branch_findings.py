@@ -8,7 +8,7 @@ from loftscan.spans import spans
 from reconstruction.fit_pipeline import FittedReconstruction
 from reconstruction.skinning.branch import Ending
 from reconstruction.skinning.ends import Apex, Brim
-from reconstruction.skinning.skin import Skin
+from reconstruction.skinning.exact_skins import AnySkin
 
 _MOST = 8  # doubts that are said one by one
 
@@ -56,7 +56,7 @@ def _ends(done: FittedReconstruction) -> str | None:
     return f"ends of the part that no slice samples: {', '.join(words)}; do not measure on them"
 
 
-def _kinds(skin: Skin) -> list[str]:
+def _kinds(skin: AnySkin) -> list[str]:
     """How the open ends of a branch were closed; joints are none."""
     if skin.brims is None or skin.branch.ends is None:
         return []

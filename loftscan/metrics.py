@@ -122,7 +122,7 @@ def _of_fit(done: FittedReconstruction) -> dict[str, object]:
         "joints": len(branching.joints),
         "cavities": sum(branch.hole for branch in branching.branches),
         "mesh_tolerance_mm": done.skinned.tolerance_mm,
-        "surface_sigma_mm": float(np.median([skin.fit.noise.level_mm2**0.5 for skin in skins])),
+        "surface_sigma_mm": float(np.median([skin.noise.level_mm2**0.5 for skin in skins])),
     }
 
 

@@ -6,6 +6,9 @@ free surface's degrees of freedom; the excess of misfit, which must be one that 
 what the shape leaves over, in which no oval, barrel, bend or dent may stand out (`lack_of_fit`).
 The first alone would forgive a shape what its few freedoms save; the second drowns one systematic
 deviation in the many freedoms of the free surface.
+
+Where no free surface is fitted, the means of patches stand for it: a free surface as wild as they
+come, whose squares about the shape are those of chance, or the shape is none.
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ from scipy.spatial import cKDTree
 from reconstruction.arrays import FloatArray
 from reconstruction.skinning.adjustment import Cells, Fitted, adjusted, approached
 from reconstruction.skinning.exact_shapes import Shape
-from reconstruction.skinning.lack_of_fit import gained, lacks_fit
+from reconstruction.skinning.lack_of_fit import gained, lacks_fit, left_over
 from reconstruction.skinning.outlines import Moments
 from reconstruction.skinning.patches import beyond_rims, pooled
 from reconstruction.skinning.primitives import Form
@@ -45,6 +48,7 @@ _CAPPED = 25.0  # squared deviations of a cell, at most, in a first look
 _OUTLYING = 5.0  # standard deviations, from the form and from the neighbours
 _NEIGHBOURS = 8
 _RARE = 0.02  # share of the cells that may be outliers
+_MOST_PATCHES = 960.0
 
 _Trial = tuple[Fitted, Cells]
 
@@ -53,8 +57,8 @@ def recognised(
     moments: Moments,
     noise_variance_mm2: ArrayLike,
     *,
-    free_misfit: float,
-    free_edf: float,
+    free_misfit: float | None = None,
+    free_edf: float = 0.0,
     inflation: float = 1.0,
     weights: FloatArray | None = None,
     noise_covariance_mm2: FloatArray | None = None,
@@ -67,7 +71,8 @@ def recognised(
         Of a point across the wall, one or (m,).
     free_misfit, free_edf
         Of the free surface: `misfit_of` its distances and scatters, with the same variances,
-        inflation and weights as here; and its effective degrees of freedom.
+        inflation and weights as here; and its effective degrees of freedom. None: there is none,
+        and what patches leave over about the shape must be chance.
     inflation
         How many points are as good as one independent one.
     weights
@@ -118,7 +123,7 @@ def misfit_of(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Judge:
-    free_misfit: float
+    free_misfit: float | None
     free_edf: float
     cells: Cells
 
@@ -133,6 +138,8 @@ class _Judge:
         return best
 
     def _accepts(self, found: Fitted, cells: Cells) -> bool:
+        if self.free_misfit is None:
+            return _chance_in_patches(found, cells) and not lacks_fit(found, cells)
         excess = _misfit(found, cells) - self.free_misfit
         # A free surface as stiff as a plane is still more than one.
         spared = max(self.free_edf - found.freedom, 1.0)
@@ -158,8 +165,17 @@ class _Judge:
 
     def _explained(self, freedom: float) -> float:
         """The greatest excess of misfit that chance explains."""
-        usual = max(1.3 * self.free_edf - freedom, 1.0)
+        spent = _MOST_PATCHES if self.free_misfit is None else 1.3 * self.free_edf
+        usual = max(spent - freedom, 1.0)
         return usual + _CHANCE * (math.sqrt(2.0 * usual) + 1.0)
+
+
+def _chance_in_patches(found: Fitted, cells: Cells) -> bool:
+    """Whether the mean distances of patches scatter as chance has it, taken together."""
+    waves, rest, _ = left_over(found, cells)
+    spent = len(waves) + found.freedom
+    usual = max(float(np.count_nonzero(rest)) - spent, 1.0)
+    return float(rest @ rest) < usual + _CHANCE * math.sqrt(2.0 * usual)
 
 
 def _simple(judge: _Judge, *, clean: bool) -> Iterator[_Trial]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
-from reconstruction.nurbs import points_and_tangents_at
+from reconstruction.nurbs import Surface, points_and_tangents_at
 from reconstruction.skinning.aligning import Stations, align
 from reconstruction.skinning.assembly import variances_across
 from reconstruction.skinning.branch import Branch
@@ -47,6 +47,21 @@ class Skin:
     stations: Stations
     moments: Moments
     fit: TensorFit
+
+    @property
+    def shape(self) -> None:
+        """No exact one: see `exact_skins`."""
+        return None
+
+    @property
+    def surface(self) -> Surface:
+        """The fitted surface, open ends clamped."""
+        return self.fit.net.surface()
+
+    @property
+    def noise(self) -> Noise:
+        """The scatter of a point about the surface."""
+        return self.fit.noise
 
     def deviation_mm(self, u: FloatArray, v: FloatArray) -> FloatArray:
         """Posterior standard deviation across the surface at (m,), (m,)."""
@@ -95,10 +110,10 @@ def skin_branch(branch: Branch, loose: Moments | None = None) -> Skin:
     outlines = branch.outlines
     spans = (_spans_around(branch), _spans_along(branch))
     loose = Moments.together([each for each in (loose, *wild) if each is not None])
-    brims = _brims(branch)
+    brims = brims_of(branch)
     laid = lay_net(outlines, stations, brims, spans)
     moments = Moments.together([outline.moments for outline in outlines])
-    noise = _noise(branch)
+    noise = noise_of(branch)
     u, v = laid.u, laid.v
     if len(loose):
         near, near_u, near_v = nearby(laid.net, loose, _REACH * math.sqrt(noise.level_mm2))
@@ -158,7 +173,8 @@ def _spans_along(branch: Branch) -> int:
     return int(min(max(0.75 * len(branch.outlines), _LEAST_SPANS_V), _MOST_SPANS_V))
 
 
-def _brims(branch: Branch) -> tuple[Brim | Apex, Brim | Apex] | None:
+def brims_of(branch: Branch) -> tuple[Brim | Apex, Brim | Apex] | None:
+    """How a branch ends, low and high; None: it closes in v."""
     if branch.ends is None:
         return None
     low, high = branch.ends
@@ -178,7 +194,7 @@ def _rims(brims: tuple[Brim | Apex, Brim | Apex] | None) -> tuple[Rim, Rim]:
     return low, high
 
 
-def _noise(branch: Branch) -> Noise:
+def noise_of(branch: Branch) -> Noise:
     """Scatter and kinship as the sections saw them; the fit looks at the scatter again."""
     sigma = float(np.median([outline.fitted.sigma_mm for outline in branch.outlines]))
     inflation = float(np.median([outline.fitted.inflation for outline in branch.outlines]))
