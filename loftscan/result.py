@@ -31,6 +31,7 @@ from reconstruction.exporting import (
 from reconstruction.fit_pipeline import FittedReconstruction
 from reconstruction.meshing import Mesh
 from reconstruction.nurbs import Surface
+from reconstruction.skinning.exact_shapes import Shape
 
 FORMATS = ("step", "3dm", "stl", "ply", "glb")
 _LIBRARY_OF = {"step": "OCP", "3dm": "rhino3dm"}
@@ -72,6 +73,14 @@ class Result:
     def surface(self) -> tuple[Surface, ...]:
         """The tensor patches: one a run of sections of equal count, or one a branch."""
         return self.reconstruction.patches
+
+    @property
+    def shapes(self) -> tuple[Shape | None, ...]:
+        """The exact shape of every patch of method fit; None where its surface is a free one."""
+        done = self.reconstruction
+        if isinstance(done, FittedReconstruction):
+            return done.skinned.shapes
+        return (None,) * len(done.patches)
 
     @property
     def sections(self) -> tuple[AnySection, ...]:

@@ -55,13 +55,10 @@ def exact_lines(skin: ExactSkin, tolerance_mm: float) -> Lines:
     """As few lines as the tolerance allows, and what shows where nothing was measured."""
     surface, boxes = skin.surface, skin.support.shape
     also = (
-        np.linspace(*domain, count + 1)
-        for domain, count in zip(surface.domain, boxes, strict=True)
+        np.linspace(*domain, count + 1) for domain, count in zip(surface.domain, boxes, strict=True)
     )
     also_u, also_v = also
-    u, v = place_lines(
-        flatness(surface), tolerance_mm=tolerance_mm, also_u=also_u, also_v=also_v
-    )
+    u, v = place_lines(flatness(surface), tolerance_mm=tolerance_mm, also_u=also_u, also_v=also_v)
     return Lines(u[:-1] if surface.periodic_u else u, v[:-1] if surface.periodic_v else v)
 
 

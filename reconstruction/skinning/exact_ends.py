@@ -1,7 +1,12 @@
-"""How an exact surface ends: at the level brims of its branch, at a cone's tip, at a sphere's pole.
+r"""How an exact surface ends: at the level brims of its branch, at a cone's tip, at a sphere's pole.
 
 An exact shape knows where it runs out. If that is before the next slice would have met it, there is
 the apex, whatever the outlines' areas seemed to say; if it is not, the wall ends at a level brim.
+Towards a tip slices become heaps, of which no outline can be drawn: they are slices that met it. ::
+
+      tip         . x .      heap      the tip may lie up to the first slice beyond that holds
+                 . x x .     heap      nothing, and no heap may lie beyond the tip
+      edge       /     \     outline
 """
 
 from __future__ import annotations
@@ -11,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import BoolArray, FloatArray, frozen
 from reconstruction.errors import Unfittable
 from reconstruction.nurbs import Surface
 from reconstruction.skinning.branch import Branch, End, Ending
@@ -23,9 +28,30 @@ from reconstruction.skinning.primitives import Cone, Cylinder, Plane, Sphere
 from reconstruction.skinning.revolution import Revolution
 
 _SLACK = 1.15  # times the way to the next slice: heights and figures have noise
+_REACH = 6.0  # standard deviations that noise carries points beyond a tip
 _POINT = 1e-9  # of the surface's size: a row no wider is one point
 
 Ends = tuple[Brim | Apex, Brim | Apex]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Levels:
+    """The slices of a scan, whatever became of them."""
+
+    heights_mm: FloatArray  # (s,), rising
+    heaps: BoolArray  # (s,), points hang together there in no outline
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "heights_mm", frozen(self.heights_mm))
+        object.__setattr__(self, "heaps", frozen(self.heaps, np.bool_))
+
+    def heaps_beyond(self, height_mm: float, *, last: bool) -> FloatArray:
+        """Heights of the heaps that follow on a level, one slice after the other."""
+        order = slice(None) if last else slice(None, None, -1)
+        heights, heaps = self.heights_mm[order], self.heaps[order]
+        beyond = heights > height_mm if last else heights < height_mm
+        heights, heaps = heights[beyond], heaps[beyond]
+        return np.asarray(heights[np.cumprod(heaps, dtype=np.bool_)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +62,7 @@ class Ended:
     brims: Ends | None  # None: it closes in v
 
 
-def ended(branch: Branch, shape: Shape) -> Ended | None:
+def ended(branch: Branch, shape: Shape, levels: Levels) -> Ended | None:
     """The surface of a shape between the ends of a branch; None where it cannot end as that does.
 
     That is a plane, a shape that leans too far, a branch that turns over, a dome of revolution,
@@ -53,7 +79,10 @@ def ended(branch: Branch, shape: Shape) -> Ended | None:
         if branch.ends is None:
             heights, brims = (-math.inf, math.inf), None
         else:
-            brims = (_end(branch, shape, last=False), _end(branch, shape, last=True))
+            brims = (
+                _end(branch, shape, levels, last=False),
+                _end(branch, shape, levels, last=True),
+            )
             heights = (_height(brims[0], last=False), _height(brims[1], last=True))
         surface = surface_of(
             form, heights, axes[0], along=axes[2], places_mm=shape.moments.means_mm
@@ -63,7 +92,7 @@ def ended(branch: Branch, shape: Shape) -> Ended | None:
     return Ended(surface, brims) if _ends_so(surface, brims) else None
 
 
-def _end(branch: Branch, shape: Shape, *, last: bool) -> Brim | Apex:
+def _end(branch: Branch, shape: Shape, levels: Levels, *, last: bool) -> Brim | Apex:
     assert branch.ends is not None, "an open branch has ends"
     end, form = branch.ends[last], shape.form
     usual = brim_or_apex(branch.outlines, end, last=last)
@@ -72,17 +101,25 @@ def _end(branch: Branch, shape: Shape, *, last: bool) -> Brim | Apex:
     if end.ending is Ending.JOINED or isinstance(form, Cylinder | Revolution):
         edge, reach = _reach(branch, end, last=last)
         return usual if isinstance(usual, Brim) else Brim(edge + 0.5 * reach, _axis(branch))
-    return _brim_or_tip(branch, shape, usual, last=last)
+    return _brim_or_tip(branch, shape, levels, usual, last=last)
 
 
-def _brim_or_tip(branch: Branch, shape: Shape, usual: Brim | Apex, *, last: bool) -> Brim | Apex:
+def _brim_or_tip(
+    branch: Branch, shape: Shape, levels: Levels, usual: Brim | Apex, *, last: bool
+) -> Brim | Apex:
     """Where a cone or a sphere runs out, if that is before the next slice."""
     assert branch.ends is not None, "an open branch has ends"
     edge, reach = _reach(branch, branch.ends[last], last=last)
-    tip = _tip(shape, _axis(branch), last=last)
-    if tip is not None and (float(tip @ _axis(branch)) - edge) / reach < _SLACK:
-        return Apex(tip, sharp=isinstance(shape.form, Cone))
-    return usual if isinstance(usual, Brim) else Brim(edge + 0.5 * reach, _axis(branch))
+    tip, axis = _tip(shape, _axis(branch), last=last), _axis(branch)
+    way, step = math.copysign(1.0, reach), abs(reach)
+    if tip is not None:
+        climb = way * (float(tip @ axis) - edge)
+        heaps = way * (levels.heaps_beyond(edge, last=last) - edge)
+        held = float(heaps.max(initial=0.0))
+        noise = _REACH * math.sqrt(float(shape.scatters_mm2.mean()))
+        if held - noise < climb < held + _SLACK * step:
+            return Apex(tip, sharp=isinstance(shape.form, Cone))
+    return usual if isinstance(usual, Brim) else Brim(edge + 0.5 * reach, axis)
 
 
 def _reach(branch: Branch, end: End, *, last: bool) -> tuple[float, float]:

@@ -21,7 +21,7 @@ from reconstruction.arrays import BoolArray, FloatArray, IntArray
 from reconstruction.nurbs import Surface, evaluate_surface_at
 from reconstruction.skinning.branch import Branch
 from reconstruction.skinning.ends import Apex, Brim
-from reconstruction.skinning.exact_ends import ended
+from reconstruction.skinning.exact_ends import Levels, ended
 from reconstruction.skinning.exact_shapes import Shape
 from reconstruction.skinning.noise import Noise
 from reconstruction.skinning.outlines import Moments
@@ -96,7 +96,7 @@ class ExactSkin:
 AnySkin = Skin | ExactSkin
 
 
-def exact_skin(branch: Branch, loose: Moments | None) -> ExactSkin | None:
+def exact_skin(branch: Branch, loose: Moments | None, levels: Levels) -> ExactSkin | None:
     """The skin of a branch whose outlines alone say that they are one exact shape.
 
     None: they do not, or loose cells lie near it that have a say as well.
@@ -115,10 +115,10 @@ def exact_skin(branch: Branch, loose: Moments | None) -> ExactSkin | None:
     assert shape is not None, "it went round"
     if loose is not None and len(loose) and _any_near(shape, loose, noise):
         return None
-    return _skinned(branch, shape, noise)
+    return _skinned(branch, shape, noise, levels)
 
 
-def exact_in_place_of(skin: Skin) -> ExactSkin | None:
+def exact_in_place_of(skin: Skin, levels: Levels) -> ExactSkin | None:
     """The exact skin that the cells of a branch prefer to its free surface; None: they do not."""
     fit, moments = skin.fit, skin.moments
     variances = fit.noise.across(fit.feet.normals)
@@ -130,11 +130,11 @@ def exact_in_place_of(skin: Skin) -> ExactSkin | None:
         moments, variances, free_misfit=misfit, free_edf=fit.edf, inflation=fit.noise.inflation,
         weights=fit.weights, noise_covariance_mm2=fit.noise.covariance_mm2,
     )  # fmt: skip
-    return None if shape is None else _skinned(skin.branch, shape, fit.noise)
+    return None if shape is None else _skinned(skin.branch, shape, fit.noise, levels)
 
 
-def _skinned(branch: Branch, shape: Shape, noise: Noise) -> ExactSkin | None:
-    found = ended(branch, shape)
+def _skinned(branch: Branch, shape: Shape, noise: Noise, levels: Levels) -> ExactSkin | None:
+    found = ended(branch, shape, levels)
     return None if found is None else ExactSkin(branch, found.brims, shape, found.surface, noise)
 
 

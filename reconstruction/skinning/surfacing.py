@@ -18,22 +18,24 @@ from reconstruction.skinning.branch import Branch
 from reconstruction.skinning.branching import Branching, find_branches
 from reconstruction.skinning.closing import closed_mesh
 from reconstruction.skinning.drawing import SliceOutlines
+from reconstruction.skinning.exact_ends import Levels
 from reconstruction.skinning.exact_shapes import Shape
 from reconstruction.skinning.exact_skins import (
     AnySkin,
-    ExactSkin,
     exact_in_place_of,
     exact_skin,
 )
 from reconstruction.skinning.folding import fold
 from reconstruction.skinning.joining import join_solids
 from reconstruction.skinning.outlines import Moments, Outline, lifted
+from reconstruction.skinning.primitives import Cone, Cylinder
 from reconstruction.skinning.skin import skin_branch
 
 _THICK = 2.0  # times the usual scatter
 _CHORD = 0.1  # of the scatter of the points: what a facet may stand off the surface
-_EXACT_CHORD = 0.01  # the same of an exact surface, which few facets follow
 _LEAST_CHORD = 2e-5  # of the part's size
+_FINER = 0.1  # of that, on cylinders and cones: narrow facets follow them at little cost
+_LEAST_FINER = 0.4
 _SLIVER = 0.05  # of the chord
 
 
@@ -83,7 +85,9 @@ def skin_slices(
     indices = [each.index for each in stack]
     branching = find_branches(outlines, heights, indices=indices, unresolved=unresolved)
     loose = _loose(stack, branching, thick.values())
-    skins = tuple(_skin(branch, loose, exact) for branch in fold(branching.branches))
+    heaps = [doubt and not held for doubt, held in zip(unresolved, outlines, strict=True)]
+    levels = Levels(heights, np.array(heaps))
+    skins = tuple(_skin(branch, loose, levels, exact) for branch in fold(branching.branches))
     chords = [tolerance_mm or _chord(skin, skins) for skin in skins]
     within = max(chords)
     parts = [closed_mesh(skin, chord) for skin, chord in zip(skins, chords, strict=True)]
@@ -93,14 +97,14 @@ def skin_slices(
     return Skinned(branching, skins, mesh, within)
 
 
-def _skin(branch: Branch, loose: Moments | None, exact: Exact) -> AnySkin:
+def _skin(branch: Branch, loose: Moments | None, levels: Levels, exact: Exact) -> AnySkin:
     if exact is Exact.NEVER:
         return skin_branch(branch, loose)
-    found = exact_skin(branch, loose)
+    found = exact_skin(branch, loose, levels)
     if found is not None:
         return found
     free = skin_branch(branch, loose)
-    return exact_in_place_of(free) or free
+    return exact_in_place_of(free, levels) or free
 
 
 def _thick(stack: Sequence[SliceOutlines]) -> dict[int, Outline]:
@@ -129,5 +133,6 @@ def _chord(skin: AnySkin, skins: Sequence[AnySkin]) -> float:
     sigma = float(np.median([each.noise.level_mm2**0.5 for each in skins]))
     places = np.concatenate([each.surface.control_points_mm.reshape(-1, 3) for each in skins])
     size = float(np.linalg.norm(np.ptp(places, axis=0)))
-    share = _EXACT_CHORD if isinstance(skin, ExactSkin) else _CHORD
-    return max(share * sigma, _LEAST_CHORD * size)
+    if skin.shape is not None and isinstance(skin.shape.form, Cylinder | Cone):
+        return max(_FINER * _CHORD * sigma, _LEAST_FINER * _LEAST_CHORD * size)
+    return max(_CHORD * sigma, _LEAST_CHORD * size)
