@@ -1,4 +1,4 @@
-r"""How an exact surface ends: at the level brims of its branch, at a cone's tip, at a sphere's pole.
+r"""How an exact surface ends: at the level brims of its branch, or in a tip or pole of its own.
 
 An exact shape knows where it runs out. If that is before the next slice would have met it, there is
 the apex, whatever the outlines' areas seemed to say; if it is not, the wall ends at a level brim.

@@ -1,9 +1,11 @@
 """How often exact shapes are found where there is one, and claimed where there is none.
 
     python -m tests.campaigns.recognising [--seeds 100] [--points 20000] [--only TABLE ...]
+                                          [--alone]
 
 Tables: "true" parts, cylinders that "deviate" a little, parts that are "near" an exact shape, the
-"gaps" of a cylinder, and the "pulls" of its figures and a cone's.
+"gaps" of a cylinder, and the "pulls" of its figures and a cone's. With --alone no free surface is
+there to judge by, as where a branch's outlines are looked at before one is fitted.
 
 Every seed turns and moves the part at random. A deviation is measured in standard deviations of
 its own amplitude, as the best linear estimator that knows its pattern has it: what lies below some
@@ -119,18 +121,19 @@ NEAR: dict[str, tuple[str, Part]] = {
 }
 
 
-def shape_of(scan: Scan) -> Shape | None:
-    """What a scan is taken for."""
-    misfit, edf = scan.free()
+def shape_of(scan: Scan, *, alone: bool = False) -> Shape | None:
+    """What a scan is taken for, beside a free surface or alone."""
+    misfit, edf = (None, 0.0) if alone else scan.free()
     return recognised(
         scan.moments, scan.variances_mm2(), free_misfit=misfit, free_edf=edf,
         noise_covariance_mm2=scan.noise_mm2,
     )  # fmt: skip
 
 
-def claimed(part: Part, points: int, seed: int, *, sigma: float = 0.2) -> str:
+def claimed(part: Part, points: int, seed: int, *, sigma: float = 0.2, alone: bool = False) -> str:
     """What a scan of the part is taken for, "free" where it is for none."""
-    shape = shape_of(scanned(part, points, seed, sigma=sigma, level_only=isinstance(part, Ball)))
+    scan = scanned(part, points, seed, sigma=sigma, level_only=isinstance(part, Ball))
+    shape = shape_of(scan, alone=alone)
     return "free" if shape is None else shape.kind
 
 
@@ -148,7 +151,7 @@ def deviating(pattern: Pattern, size: float, points: int, *, sigma: float = 0.2)
     return Turned(lambda at, level: 50.0 + amplitude * pattern(np.mod(at, math.tau), level))
 
 
-def across_gaps(seed: int) -> tuple[float, float, float] | None:
+def across_gaps(seed: int, *, alone: bool = False) -> tuple[float, float, float] | None:
     """Radial rms outside and inside the gaps, 3 .. 97 mm up, and the seconds it took.
 
     A cylinder of 100 mm across and 100 mm high, 1 000 000 points of 0.2 mm in the cutting planes, a
@@ -157,7 +160,7 @@ def across_gaps(seed: int) -> tuple[float, float, float] | None:
     gaps = STRIP + PATCHES
     part = Turned(steady(50.0), gaps=gaps, slices=200, columns=400)
     scan = scanned(part, 1_000_000, seed, level_only=True)
-    misfit, edf = scan.free()
+    misfit, edf = (None, 0.0) if alone else scan.free()
     variances = scan.variances_mm2()
     start = time.process_time()
     shape = recognised(
@@ -179,7 +182,9 @@ def across_gaps(seed: int) -> tuple[float, float, float] | None:
     return outer, inner, seconds
 
 
-def pulls(scan: Scan, radius_at: Callable[[float], float], slope: float) -> FloatArray | None:
+def pulls(
+    scan: Scan, radius_at: Callable[[float], float], slope: float, *, alone: bool = False
+) -> FloatArray | None:
     """Errors over deviations: offsets, tilts, radius, and a cone's half angle, (5,) or (6,).
 
     None where the scan is taken for something else.
@@ -193,7 +198,7 @@ def pulls(scan: Scan, radius_at: Callable[[float], float], slope: float) -> Floa
     slope
         Its rise, 0 for a cylinder.
     """
-    shape = shape_of(scan)
+    shape = shape_of(scan, alone=alone)
     if shape is None or not isinstance(shape.form, Cone if slope else Cylinder):
         return None
     form, frame = shape.form, shape.form.frame
@@ -214,48 +219,53 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--points", type=int, default=20_000)
+    parser.add_argument("--alone", action="store_true")
     parser.add_argument("--only", nargs="+", choices=TABLES, default=TABLES)
     options = parser.parse_args()
     tables = {"true": _true, "deviate": _deviate, "near": _near, "gaps": _gaps, "pulls": _pulls}
     for name in options.only:
-        tables[name](options.seeds, options.points)
+        tables[name](options.seeds, options.points, options.alone)
 
 
-def _true(seeds: int, points: int) -> None:
+def _true(seeds: int, points: int, alone: bool) -> None:  # noqa: FBT001
     _say(f"\n{seeds} seeds of {points} points, sigma 0.2 mm")
     for name, (kind, part) in TRUE.items():
-        _say_claims(name, kind, Counter(claimed(part, points, seed) for seed in range(seeds)))
+        _say_claims(
+            name, kind, Counter(claimed(part, points, seed, alone=alone) for seed in range(seeds))
+        )
 
 
-def _deviate(seeds: int, points: int) -> None:
+def _deviate(seeds: int, points: int, alone: bool) -> None:  # noqa: FBT001
     _say(f"\na cylinder that deviates, claimed as one, at standard deviations of {SIZES}")
     for name, pattern in PATTERNS.items():
         counts = []
         for size in SIZES:
             part = deviating(pattern, size, points)
-            kinds = [claimed(part, points, seed) for seed in range(seeds)]
+            kinds = [claimed(part, points, seed, alone=alone) for seed in range(seeds)]
             counts.append(kinds.count("cylinder"))
         _say(f"{name:20s}" + "".join(f"{count:6d}" for count in counts))
 
 
-def _near(seeds: int, points: int) -> None:
+def _near(seeds: int, points: int, alone: bool) -> None:  # noqa: FBT001
     _say(f"\nno cylinder, {seeds} seeds of {points} points")
     for name, (kind, part) in NEAR.items():
         for sigma in (0.1, 0.15, 0.2):
-            kinds = Counter(claimed(part, points, seed, sigma=sigma) for seed in range(seeds))
+            kinds = Counter(
+                claimed(part, points, seed, sigma=sigma, alone=alone) for seed in range(seeds)
+            )
             _say_claims(f"{name}, sigma {sigma:g}", kind, kinds)
 
 
-def _gaps(seeds: int, _: int) -> None:
+def _gaps(seeds: int, _: int, alone: bool) -> None:  # noqa: FBT001
     _say("\na cylinder of 1 000 000 points with gaps: rms outside, inside, seconds")
-    rows = [across_gaps(seed) for seed in range(min(seeds, 10))]
+    rows = [across_gaps(seed, alone=alone) for seed in range(min(seeds, 10))]
     found = np.array([row for row in rows if row is not None])
     _say(f"found {len(found)} of {len(rows)}")
     for name, row in (("median", np.median(found, axis=0)), ("worst", found.max(axis=0))):
         _say(f"{name:8s} {row[0]:.5f} mm   {row[1]:.5f} mm   {row[2]:.2f} s")
 
 
-def _pulls(seeds: int, points: int) -> None:
+def _pulls(seeds: int, points: int, alone: bool) -> None:  # noqa: FBT001
     _say("\nmean square of error over deviation, share beyond 3, by figure")
     for name, slope, radius in (("cylinder", 0.0, 50.0), ("cone", 0.3, 20.0)):
 
@@ -263,7 +273,10 @@ def _pulls(seeds: int, points: int) -> None:
             return radius + slope * z
 
         part = Turned(steady(radius) if name == "cylinder" else tapered(slope))
-        rows = [pulls(scanned(part, points, seed), radius_at, slope) for seed in range(seeds)]
+        rows = [
+            pulls(scanned(part, points, seed), radius_at, slope, alone=alone)
+            for seed in range(seeds)
+        ]
         found = np.array([row for row in rows if row is not None])
         squares = "".join(f"{square:6.2f}" for square in (found**2).mean(axis=0))
         overall, beyond = float((found**2).mean()), float((np.abs(found) > 3.0).mean())
