@@ -32,9 +32,9 @@ from reconstruction.skinning.primitives import Cone, Cylinder
 from reconstruction.skinning.skin import skin_branch
 
 _THICK = 2.0  # times the usual scatter
-_CHORD = 0.1  # of the scatter of the points: what a facet may stand off the surface
+_CHORD = 0.05  # of the scatter of the points: what a facet may stand off the surface
 _LEAST_CHORD = 2e-5  # of the part's size
-_FINER = 0.1  # of that, on cylinders and cones: narrow facets follow them at little cost
+_FINER = 0.2  # of that, on cylinders and cones: narrow facets follow them at little cost
 _LEAST_FINER = 0.4
 _SLIVER = 0.05  # of the chord
 
