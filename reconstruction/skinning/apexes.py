@@ -1,4 +1,8 @@
-"""Where surfaces run out in a point, and how far that may lie off."""
+"""Where surfaces run out in a point, and how far that may lie off.
+
+A sharp tip is a place, and so is the pole of a sphere. The top of a free dome is none: its net may
+end anywhere on it, and how far that lies off sideways means nothing.
+"""
 
 from __future__ import annotations
 
@@ -32,12 +36,12 @@ class Tip:
 
 
 def tips_of(skins: Sequence[AnySkin]) -> tuple[Tip, ...]:
-    """Every point in which a surface runs out, branch by branch, the low end first."""
+    """Every place in which a surface runs out, branch by branch, the low end first."""
     return tuple(
         _tip(number, skin, brim, last=last)
         for number, skin in enumerate(skins)
         for last, brim in zip((False, True), skin.brims or (), strict=False)
-        if isinstance(brim, Apex)
+        if isinstance(brim, Apex) and (brim.sharp or isinstance(skin, ExactSkin))
     )
 
 

@@ -70,7 +70,7 @@ def cone_cloud(seed: int) -> tuple[FloatArray, FloatArray]:
     rng = np.random.default_rng(seed)
     shift = rng.normal(0.0, 20.0, 3)
     clean = _cone_points(rng)
-    return clean + rng.normal(0.0, SIGMA, clean.shape) + shift, shift + [0.0, 0.0, HEIGHT]
+    return clean + rng.normal(0.0, SIGMA, clean.shape) + shift, shift + np.array([0.0, 0.0, HEIGHT])
 
 
 def _cone_points(rng: np.random.Generator) -> FloatArray:
@@ -145,9 +145,10 @@ def _apex(seeds: int) -> None:
                 f"deviation {pulls[-1].round(2)}, deviation over least {shares[-1].round(2)}"
             )
         if pulls:
+            rms = math.sqrt(float(np.mean(np.square(pulls))))
             _say(
                 f"{exact:6s} {len(pulls)} of {seeds} with a tip: greatest error "
-                f"{np.abs(pulls).max():.2f} deviations, rms {np.sqrt(np.mean(np.square(pulls))):.2f}"
+                f"{np.abs(pulls).max():.2f} deviations, rms {rms:.2f}"
                 f"; greatest deviation {np.max(shares):.2f} of the least, median "
                 f"{np.median(shares):.2f}"
             )
