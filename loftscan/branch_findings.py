@@ -57,11 +57,15 @@ def _ends(done: FittedReconstruction) -> str | None:
 
 
 def _kinds(skin: AnySkin) -> list[str]:
-    """How the open ends of a branch were closed; joints are none."""
+    """How the open ends of a branch were closed; joints are none, nor what a shape tells."""
     if skin.brims is None or skin.branch.ends is None:
         return []
     pairs = zip(skin.brims, skin.branch.ends, strict=True)
-    return [_kind(brim) for brim, end in pairs if end.ending is not Ending.JOINED]
+    return [
+        _kind(brim)
+        for brim, end in pairs
+        if end.ending is not Ending.JOINED and not (skin.shape and isinstance(brim, Apex))
+    ]
 
 
 def _kind(brim: Brim | Apex) -> str:
