@@ -185,7 +185,9 @@ def _slices_in(source: object) -> Source | None:
         return KeptScan(ScanFolder.open(Path(source))) if is_scan(source) else None
     if isinstance(source, Sweeps):
         return GivenSweeps(source, source.kinematics, source.total)
-    listed = isinstance(source, (list, tuple)) and source and isinstance(source[0], Slice)
+    listed = isinstance(source, (list, tuple)) and all(
+        isinstance(each, Slice) for each in source[:1]
+    )
     if isinstance(source, Iterator) or listed:
         return GivenSlices(source, _length(source))  # type: ignore[arg-type] # checked as they come
     return None

@@ -20,12 +20,12 @@ _BEGUN = time.monotonic()
 
 def writable_formats(wanted: str | None) -> tuple[str, ...]:
     """The formats to write; those that cannot be written by default are said."""
-    from loftscan.result import FORMATS, choose_formats
+    from loftscan.result import USUAL_FORMATS, choose_formats
 
     if wanted is not None:
         return choose_formats(wanted.split(","))
     chosen = choose_formats(None)
-    left_out = [each for each in FORMATS if each not in chosen]
+    left_out = [each for each in USUAL_FORMATS if each not in chosen]
     if left_out:
         typer.echo(
             f"warning: {' and '.join(left_out)} left out, their libraries are not installed: "
