@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 
 from reconstruction.arrays import FloatArray
-from reconstruction.exporting import bodies_of, write_step_solid, write_threedm
 from reconstruction.fitting.curve import Exact
 from reconstruction.meshing import Mesh
 from reconstruction.nurbs import evaluate_surface, evaluate_surface_at
 from reconstruction.skinning import surfacing
 from reconstruction.skinning.apexes import tips_of
 from reconstruction.skinning.branch import Branch
-from reconstruction.skinning.drawing import SliceOutlines
 from reconstruction.skinning.ends import Apex, Brim
 from reconstruction.skinning.exact_ends import Levels
 from reconstruction.skinning.exact_skins import AnySkin, ExactSkin
@@ -25,45 +22,20 @@ from reconstruction.skinning.outlines import Moments
 from reconstruction.skinning.primitives import Cone, Cylinder, Sphere
 from reconstruction.skinning.skin import Skin, skin_branch
 from reconstruction.skinning.surfacing import Skinned, skin_slices
-from reconstruction.slices import Frame, Slice
-from tests.reconstruction.skinning_parts import Radius, drawn, ring_slices
-
-SIGMA = 0.1
-STEP = 1.5
-HEIGHTS = np.arange(24) * STEP
-LOW, HIGH = -0.5 * STEP, HEIGHTS[-1] + 0.5 * STEP  # brims lie half a step beyond
-GAP = (1.0, 2.0, 10.0, 22.0)  # turn from, to; height from, to
-
-
-def steady(radius: float) -> Radius:
-    return lambda turn, _: np.full_like(turn, radius)
-
-
-def pieces(
-    radius: Radius, *, heights: FloatArray = HEIGHTS, count: int = 500, **options
-) -> list[SliceOutlines]:
-    levels = [float(each) for each in heights]
-    return drawn(ring_slices(levels, radius, count=count, sigma_mm=SIGMA, **options))
-
-
-def empty(index: int, height: float) -> SliceOutlines:
-    (drawn_piece,) = drawn(
-        [Slice(index, np.empty((0, 3)), Frame(np.array([0.0, 0.0, height]), np.eye(3)))]
-    )
-    return drawn_piece
-
-
-def leaning(turn_rad: float, radius: float) -> list[SliceOutlines]:
-    """A cylinder that leans towards x: level cuts are ellipses that move along."""
-    rng = np.random.default_rng(3)
-    slices = []
-    for index, height in enumerate(HEIGHTS):
-        turn = rng.uniform(0.0, math.tau, 500)
-        x = radius / math.cos(turn_rad) * np.cos(turn) + height * math.tan(turn_rad)
-        points = np.column_stack([x, radius * np.sin(turn), np.full(len(turn), height)])
-        points[:, :2] += rng.normal(0.0, SIGMA, (len(turn), 2))
-        slices.append(Slice(index, points, Frame(np.array([0.0, 0.0, height]), np.eye(3))))
-    return drawn(slices)
+from tests.reconstruction.exact_parts import (
+    GAP,
+    HEIGHTS,
+    HIGH,
+    LOW,
+    SIGMA,
+    STEP,
+    conical,
+    empty,
+    leaning,
+    pieces,
+    steady,
+)
+from tests.reconstruction.skinning_parts import Radius
 
 
 def exact(found: Skinned) -> ExactSkin:
@@ -206,11 +178,6 @@ def test_a_barrel_is_a_surface_of_revolution() -> None:
 # --- ends -----------------------------------------------------------------------------------------
 
 
-def conical(turn: FloatArray, z: float) -> FloatArray:
-    """A cone of half angle 0.35 rad whose apex is 36 mm up."""
-    return np.full_like(turn, max(36.0 - z, 0.0) * math.tan(0.35))
-
-
 def test_a_cone_ends_in_its_apex_though_slices_below_it_are_heaps() -> None:
     near = np.append(HEIGHTS[:23], [34.5, 35.0, 35.5])
     cut = [*pieces(conical, heights=near), empty(26, 36.5)]
@@ -315,84 +282,3 @@ def test_heaps_that_follow_a_level_are_told_in_their_order() -> None:
     assert levels.heaps_beyond(2.0, last=True).tolist() == [3.0, 4.0]
     assert levels.heaps_beyond(1.0, last=True).tolist() == []
     assert levels.heaps_beyond(1.0, last=False).tolist() == [0.0]
-
-
-# --- several branches, and CAD --------------------------------------------------------------------
-
-
-def bored() -> list[SliceOutlines]:
-    slices = []
-    for index, height in enumerate(HEIGHTS):
-        rings = [
-            ring_slices(
-                [float(height)], steady(radius), count=500, sigma_mm=SIGMA, seed=100 * index + k
-            )[0].points_mm
-            for k, radius in enumerate((20.0, 12.0))
-        ]
-        frame = Frame(np.array([0.0, 0.0, height]), np.eye(3))
-        slices.append(Slice(index, np.concatenate(rings), frame))
-    return drawn(slices)
-
-
-def legs() -> list[SliceOutlines]:
-    """Two cylinders of radius 6 that end in one of radius 20."""
-    slices = []
-    for index, height in enumerate(HEIGHTS):
-        rng = np.random.default_rng(index)
-        turn = rng.uniform(0.0, math.tau, (2, 400))
-        radius, aside = (6.0, 10.0) if height < 17.0 else (20.0, 0.0)
-        x = radius * np.cos(turn) + np.array([[aside], [-aside]])
-        flat = np.stack([x, radius * np.sin(turn)], axis=2).reshape(-1, 2)
-        flat += rng.normal(0.0, SIGMA, flat.shape)
-        points = np.column_stack([flat, np.full(len(flat), height)])
-        slices.append(Slice(index, points, Frame(np.array([0.0, 0.0, height]), np.eye(3))))
-    return drawn(slices)
-
-
-PARTS = {
-    "cylinder": (lambda: pieces(steady(20.0)), ["cylinder"]),
-    "leaning cylinder": (lambda: leaning(0.3, 12.0), ["cylinder"]),
-    "cone with its apex": (
-        lambda: [*pieces(conical, heights=np.append(HEIGHTS[:23], 34.8)), empty(25, 36.3)],
-        ["cone"],
-    ),
-    "vase": (
-        lambda: pieces(lambda turn, z: 20.0 + 2.0 * np.sin(z / 6.0) + 0.0 * turn),
-        ["revolution"],
-    ),
-    "cylinder with a bore": (bored, ["cylinder", "cylinder"]),
-    "two legs": (legs, ["cylinder", "cylinder", "cylinder"]),
-}
-
-
-@pytest.mark.parametrize("name", PARTS)
-def test_exact_parts_are_valid_solids_of_their_meshs_volume(name: str, tmp_path: Path) -> None:
-    pytest.importorskip("OCP.Geom", reason="needs the extra cad")
-    cut, kinds = PARTS[name]
-    found = skin_slices(cut())
-    assert [shape and shape.kind for shape in found.shapes] == kinds
-    solid = solid_of(found.mesh)
-    assert solid.is_watertight
-    made = write_step_solid(
-        tmp_path / "a.step",
-        bodies_of(found.skins),
-        name=name,
-        provenance={},
-        volume_mm3=solid.volume,
-    )  # it checks with BRepCheck
-    assert (made.solids, made.reasons) == (1, ())
-    assert made.volume_mm3 == pytest.approx(solid.volume, rel=1e-3)
-
-
-def test_exact_patches_reach_3dm_with_their_weights(tmp_path: Path, tube: Skinned) -> None:
-    pytest.importorskip("rhino3dm", reason="needs the extra cad")
-    from reconstruction.exporting import read_threedm
-
-    surface = exact(tube).surface
-    write_threedm(tmp_path / "a.3dm", [surface], [], name="tube", provenance={})
-    (back,), *_ = read_threedm(tmp_path / "a.3dm")
-    assert np.ptp(back.weights) > 0.1
-    (u0, u1), (v0, v1) = back.domain
-    places = evaluate_surface(back, np.linspace(u0, u1, 77), np.linspace(v0, v1, 3))
-    form = exact(tube).shape.form
-    assert np.abs(form.measure(places.reshape(-1, 3)).distances_mm).max() < 1e-9
