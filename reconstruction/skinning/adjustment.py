@@ -108,6 +108,8 @@ def adjusted(form: Form, cells: Cells, *, rounds: int) -> Fitted | None:
     """Fit by Gauss-Newton from a form nearby; None where it does not settle."""
     for _ in range(rounds):
         here, slopes = against(form, cells)
+        if not np.isfinite(here.distances_mm).all():
+            return None
         weights = cells.precisions * here.trust
         right = slopes.T @ (weights * here.distances_mm) + _pulled(here, cells, weights)
         step = _solved(here.normal_matrix, right)
@@ -135,7 +137,7 @@ def approached(form: Form, cells: Cells, *, rounds: int) -> Fitted | None:
         if float(step @ right) < _NEAR:
             break
         here, slopes = _descended(here, step, cells, weights)
-    return here
+    return here if np.isfinite(here.distances_mm).all() else None
 
 
 def against(form: Form, cells: Cells) -> tuple[Fitted, FloatArray]:

@@ -267,7 +267,12 @@ def leaned(frame: Frame, offset_mm: FloatArray, tilt_rad: FloatArray) -> Frame:
 
 
 def axes_about(axis: FloatArray, x: FloatArray) -> FloatArray:
-    """Right-handed rows x, y, axis, (3, 3); x as near to the given one as may be."""
+    """Right-handed rows x, y, axis, (3, 3); x as near to the given one as may be.
+
+    Not finite where the axis has run away: whoever fits it finds out.
+    """
+    if not (np.isfinite(axis).all() and np.isfinite(x).all()):
+        return np.full((3, 3), np.nan)
     axis = axis / math.sqrt(float(axis @ axis))
     across = x - (x @ axis) * axis
     if not float(across @ across) > 1e-12 * float(x @ x):

@@ -93,6 +93,8 @@ def _settled(fit: Fit, frame: Frame, cells: Cells, rounds: int) -> Sketch:
         form = replace(form, control_mm=fit.control_mm)
         found, right = _together(form, fit, cells, t)
         step = np.asarray(np.linalg.solve(found.normal_matrix, right), dtype=np.float64)
+        if not np.isfinite(step).all():
+            raise Unfittable("the axis of a surface of revolution has run away")
         if float(step[:4] @ found.normal_matrix[:4, :4] @ step[:4]) < _STILL:
             break
         form = form.moved(step)
