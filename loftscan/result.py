@@ -31,6 +31,7 @@ from reconstruction.exporting import (
 from reconstruction.fit_pipeline import FittedReconstruction
 from reconstruction.meshing import Mesh
 from reconstruction.nurbs import Surface
+from reconstruction.skinning.exact_shapes import Shape
 
 USUAL_FORMATS = ("step", "3dm", "stl", "ply", "glb")
 FORMATS = (*USUAL_FORMATS, "iges")  # for programs that read no STEP: only when asked for
@@ -73,6 +74,14 @@ class Result:
     def surface(self) -> tuple[Surface, ...]:
         """The tensor patches: one a run of sections of equal count, or one a branch."""
         return self.reconstruction.patches
+
+    @property
+    def shapes(self) -> tuple[Shape | None, ...]:
+        """The exact shape of every patch of method fit; None where its surface is a free one."""
+        done = self.reconstruction
+        if isinstance(done, FittedReconstruction):
+            return done.skinned.shapes
+        return (None,) * len(done.patches)
 
     @property
     def sections(self) -> tuple[AnySection, ...]:

@@ -46,7 +46,7 @@ def _halved(
     solved = np.linalg.solve(wanted, places.reshape(count, -1)).reshape(places.shape)
     if not closed:
         solved[[0, -1]] = control[[0, -1]]  # exactly: ends lie in planes
-    return solved, fine
+    return np.asarray(solved), fine
 
 
 def _collocated(t: FloatArray, knots: FloatArray, count: int, *, closed: bool) -> FloatArray:

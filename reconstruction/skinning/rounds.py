@@ -8,6 +8,7 @@ factorisation and a solution.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 
@@ -175,7 +176,7 @@ def _system(
     density = diagonals[0] / _DATA_DIAGONAL
     along_u, along_v = (
         _liveliness(density, (after - before) / _BEND_DIAGONAL)
-        for before, after in zip(diagonals, diagonals[1:], strict=False)
+        for before, after in itertools.pairwise(diagonals)
     )
     return system, (along_u, along_v)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
 from reconstruction.errors import Unfittable
-from reconstruction.nurbs import points_and_tangents_at
+from reconstruction.nurbs import Surface, points_and_tangents_at
 from reconstruction.skinning.aligning import Stations, align, align_between
 from reconstruction.skinning.branch import Branch
 from reconstruction.skinning.creases import find_creases
@@ -19,7 +19,8 @@ from reconstruction.skinning.laying import Laid, lay_net
 from reconstruction.skinning.net import basis_at, unit_normals
 from reconstruction.skinning.noise import Noise
 from reconstruction.skinning.outlines import Moments
-from reconstruction.skinning.tensor_fit import FREE, Rim, TensorFit, fit_net
+from reconstruction.skinning.rounds import Rim
+from reconstruction.skinning.tensor_fit import FREE, TensorFit, fit_net
 from reconstruction.skinning.variances import variances_across
 
 _SPANS_A_FREEDOM = 2.5
@@ -50,6 +51,21 @@ class Skin:
     stations: Stations
     moments: Moments
     fit: TensorFit
+
+    @property
+    def shape(self) -> None:
+        """No exact one: see `exact_skins`."""
+        return None
+
+    @property
+    def surface(self) -> Surface:
+        """The fitted surface, open ends clamped."""
+        return self.fit.net.surface()
+
+    @property
+    def noise(self) -> Noise:
+        """The scatter of a point about the surface."""
+        return self.fit.noise
 
     def deviation_mm(self, u: FloatArray, v: FloatArray) -> FloatArray:
         """Posterior standard deviation across the surface at (m,), (m,)."""
@@ -134,11 +150,11 @@ def _fitted(
     finer: tuple[bool, bool],
 ) -> Skin:
     """A net of so many spans laid through the stations, and fitted."""
-    outlines, brims = branch.outlines, _brims(branch)
+    outlines, brims = branch.outlines, brims_of(branch)
     spans = (stations.spans or spans[0], spans[1])
     laid = lay_net(outlines, stations, brims, spans)
     moments = Moments.together([outline.moments for outline in outlines])
-    noise = _noise(branch)
+    noise = noise_of(branch)
     u, v = laid.u, laid.v
     if len(loose):
         near, near_u, near_v = nearby(laid.net, loose, _REACH * math.sqrt(noise.level_mm2))
@@ -214,7 +230,8 @@ def _wide_spans(around: int, along: int) -> tuple[tuple[int, int], tuple[bool, b
     ), finer
 
 
-def _brims(branch: Branch) -> tuple[Brim | Apex, Brim | Apex] | None:
+def brims_of(branch: Branch) -> tuple[Brim | Apex, Brim | Apex] | None:
+    """How a branch ends, low and high; None: it closes in v."""
     if branch.ends is None:
         return None
     low, high = branch.ends
@@ -234,7 +251,7 @@ def _rims(brims: tuple[Brim | Apex, Brim | Apex] | None) -> tuple[Rim, Rim]:
     return low, high
 
 
-def _noise(branch: Branch) -> Noise:
+def noise_of(branch: Branch) -> Noise:
     """Scatter and kinship as the sections saw them; the fit looks at the scatter again."""
     sigma = float(np.median([outline.fitted.sigma_mm for outline in branch.outlines]))
     inflation = float(np.median([outline.fitted.inflation for outline in branch.outlines]))
