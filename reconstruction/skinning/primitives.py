@@ -271,9 +271,10 @@ def axes_about(axis: FloatArray, x: FloatArray) -> FloatArray:
 
     Not finite where the axis has run away: whoever fits it finds out.
     """
-    if not (np.isfinite(axis).all() and np.isfinite(x).all()):
+    length = math.sqrt(float(axis @ axis))
+    if not (0.0 < length < math.inf and np.isfinite(x).all()):
         return np.full((3, 3), np.nan)
-    axis = axis / math.sqrt(float(axis @ axis))
+    axis = axis / length
     across = x - (x @ axis) * axis
     if not float(across @ across) > 1e-12 * float(x @ x):
         return axes_about(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])

@@ -201,5 +201,5 @@ def test_a_cone_cut_in_slabs_fits_like_its_single_points(*, level_only: bool) ->
 
 
 def test_an_axis_that_has_run_away_gives_no_frame_and_does_not_go_round_for_ever() -> None:
-    for axis in (np.array([np.nan, 0.0, 1.0]), np.array([0.0, np.inf, 0.0])):
+    for axis in (np.array([np.nan, 0.0, 1.0]), np.array([0.0, np.inf, 0.0]), np.zeros(3)):
         assert not np.isfinite(axes_about(axis, np.array([1.0, 0.0, 0.0]))).any()
