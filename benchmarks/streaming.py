@@ -47,7 +47,7 @@ from reconstruction.slices import Frame, Slice
 Array = NDArray[np.float64]
 
 SLICES, POINTS = 500, 360 * 1280
-RADIUS_MM, PITCH_MM, SIGMA_MM = 50.0, 0.2, 0.2
+RADIUS_MM, HEIGHT_MM, SIGMA_MM = 50.0, 100.0, 0.2
 FIRST, OTHERS = 3.0, 6.0  # exponents of the superformula
 
 # What is timed apart: where it is called, and under what name it is told.
@@ -95,8 +95,8 @@ def slices_of(name: str, slices: int, points: int) -> Iterator[Slice]:
     ways = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     noise = rng.normal(0.0, SIGMA_MM, points)
     for index in range(slices):
-        height = PITCH_MM * index
         share = index / max(slices - 1, 1)
+        height = HEIGHT_MM * share
         radius = RADIUS_MM * (bottom + share * added)
         places = np.empty((points, 3))
         offset = int(rng.integers(points))
@@ -161,13 +161,13 @@ def run(name: str, slices: int, points: int, exact: Exact) -> dict[str, Any]:
         "rounds": rounds,
         "nets": [list(each.fit.net.control_mm.shape[:2]) for each in made.skinned.skins],
         "edf": [each.fit.edf for each in made.skinned.skins],
-        "off_mm": off_mm(name, made.skinned.skins[0], slices),
+        "off_mm": off_mm(name, made.skinned.skins[0]),
         "while_drawing_mb": while_drawing,
         "above_imports_mb": status_mb("VmHWM") - resident,
     }
 
 
-def off_mm(name: str, found: skin.Skin, slices: int) -> float:
+def off_mm(name: str, found: skin.Skin) -> float:
     """Root mean square distance, along radii, of the surface from the truth."""
     surface = found.fit.net.surface()
     end_u, end_v = found.fit.net.spans
@@ -178,7 +178,7 @@ def off_mm(name: str, found: skin.Skin, slices: int) -> float:
     turn = np.arctan2(y, x)
     fine = np.linspace(-math.pi, math.pi, 40_001)
     bottom, added = (np.interp(turn, fine, each) for each in SHAPES[name](fine))
-    truth = RADIUS_MM * (bottom + z / (PITCH_MM * (slices - 1)) * added)
+    truth = RADIUS_MM * (bottom + z / HEIGHT_MM * added)
     return float(np.sqrt(np.mean((np.hypot(x, y) - truth) ** 2)))
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from reconstruction.skinning.variances import row_variances
 
 _LEAST_POINTS = 12.0
 _LEASH = 9.0  # variances of a point, and a span, that a control point may well go from its start
-_FREE = 1e-8  # of the largest pivot, for what the stiffness leaves free
+_FREE = 1e-8  # of its own pivot, for what the stiffness leaves free
 _RIDGE = 1e-12  # of the largest pivot
 _FULL = 4.0  # standard deviations up to which a cell counts in full ...
 _NONE = 8.0  # ... and from which it does not count
@@ -175,7 +176,7 @@ def _system(
     density = diagonals[0] / _DATA_DIAGONAL
     along_u, along_v = (
         _liveliness(density, (after - before) / _BEND_DIAGONAL)
-        for before, after in zip(diagonals, diagonals[1:], strict=False)
+        for before, after in pairwise(diagonals)
     )
     return system, (along_u, along_v)
 
@@ -205,7 +206,7 @@ def _leash(
     diagonal = matrix.diagonal
     diagonal[diagonal > 0.0] += 1.0 / variance_mm2
     away = ((net.control_mm - start_mm) * unknowns.directions).sum(axis=2)
-    right[unknowns.place] -= away.T / variance_mm2
+    right.reshape(-1)[unknowns.numbers] -= away / variance_mm2
 
 
 def _hold_the_rest(matrix: Blocks) -> None:
@@ -222,7 +223,9 @@ def _ranks(unknowns: Unknowns, rows: tuple[Rows, Rows], laid: list[FloatArray]) 
     for each, values in zip(rows, laid, strict=True):
         add_stiffness(matrix, each, values)
     diagonal = matrix[0].diagonal
-    diagonal += _FREE * float(diagonal.max())
+    # Each by its own: where the surface is soft, the largest one's share would stiffen it.
+    diagonal[diagonal == 0.0] = float(diagonal.max())
+    diagonal *= 1.0 + _FREE
     factor = factorise(matrix[0])
     assert factor is not None, "a ridge makes it positive"
     inverse = inverse_blocks(factor)

@@ -20,7 +20,12 @@ from reconstruction.skinning.unknowns import Unknowns, applied, unknowns_of
 from reconstruction.skinning.variances import row_variances, variances_across
 from tests.reconstruction.skinning_parts import torus_net, tube_net
 
-NETS = {"tube": tube_net(), "tip": tube_net(apex=True), "torus": torus_net()}
+NETS = {
+    "tube": tube_net(),
+    "short": tube_net(spans=(40, 4)),  # lines are columns
+    "tip": tube_net(apex=True),
+    "torus": torus_net(),
+}
 UP = np.array([0.0, 0.0, 1.0])
 
 
