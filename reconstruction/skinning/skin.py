@@ -25,7 +25,7 @@ from reconstruction.skinning.variances import variances_across
 
 _SPANS_A_FREEDOM = 2.5
 _MORE_SPANS = 10
-_LEAST_SPANS_U, _WIDE_SPANS_U = 12, 64
+_LEAST_SPANS_U, _WIDE_SPANS_U = 12, 240  # half of what their own sections use at least
 _MOST_SPANS = 240
 _LEAST_SPANS_V, _WIDE_SPANS_V = 6, 32
 _MOST_SPANS_V = 160
