@@ -8,7 +8,7 @@ from loftscan.spans import spans
 from reconstruction.fit_pipeline import FittedReconstruction
 from reconstruction.skinning.branch import Ending
 from reconstruction.skinning.ends import Apex, Brim
-from reconstruction.skinning.skin import Skin
+from reconstruction.skinning.exact_skins import AnySkin
 
 _MOST = 8  # doubts that are said one by one
 
@@ -56,12 +56,16 @@ def _ends(done: FittedReconstruction) -> str | None:
     return f"ends of the part that no slice samples: {', '.join(words)}; do not measure on them"
 
 
-def _kinds(skin: Skin) -> list[str]:
-    """How the open ends of a branch were closed; joints are none."""
+def _kinds(skin: AnySkin) -> list[str]:
+    """How the open ends of a branch were closed; joints are none, nor what a shape tells."""
     if skin.brims is None or skin.branch.ends is None:
         return []
     pairs = zip(skin.brims, skin.branch.ends, strict=True)
-    return [_kind(brim) for brim, end in pairs if end.ending is not Ending.JOINED]
+    return [
+        _kind(brim)
+        for brim, end in pairs
+        if end.ending is not Ending.JOINED and not (skin.shape and isinstance(brim, Apex))
+    ]
 
 
 def _kind(brim: Brim | Apex) -> str:

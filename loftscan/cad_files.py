@@ -1,4 +1,4 @@
-"""STEP and 3DM, written by a process of its own while other work is done.
+"""STEP, IGES and 3DM, written by a process of its own while other work is done.
 
 Open CASCADE takes longer to load than its work takes, and is a large C++ library: beside us it
 costs no time, and a crash of it is a message. The child loads its libraries as soon as it is
@@ -19,12 +19,13 @@ from typing import TYPE_CHECKING, Self
 from reconstruction.errors import ReconstructionError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from reconstruction.exporting import Body
     from reconstruction.nurbs import Surface
 
-_WRITERS = ("step", "3dm")
+_WRITERS = ("step", "iges", "3dm")
+_FILE_OF = {"step": "surface.step", "iges": "surface.igs"}
 _TIME_LIMIT_S = 600.0
 
 
@@ -134,30 +135,53 @@ def write_files(
         flat_caps,
         read_sections_json,
         read_surface_json,
-        write_step,
-        write_step_solid,
         write_threedm,
     )
 
     surfaces = read_surface_json(folder / "surface.json")
     provenance = json.loads((folder / "surface.json").read_text(encoding="utf-8"))["provenance"]
     bodies = () if solid is None else _bodies(surfaces, solid)
-    reasons: tuple[str, ...] = ()
-    step = folder / "surface.step"
-    if "step" in formats and solid is not None and bodies:
-        found = write_step_solid(
-            step, bodies, name=name, provenance=provenance, volume_mm3=solid.volume_mm3
-        )
-        reasons = found.reasons
-    elif "step" in formats and surfaces:  # without a patch there is nothing that STEP could hold
-        write_step(step, surfaces, name=name, provenance=provenance)
+    reasons: list[str] = []
+    for each in ("step", "iges"):
+        if each not in formats or not surfaces:  # no patch: nothing that such a file could hold
+            continue
+        if solid is None:
+            _write_patches(folder, each, surfaces, name, provenance)
+        else:
+            reasons += _write_solid(folder, each, bodies, name, provenance, solid.volume_mm3)
     if "3dm" in formats:
         curves = [record.curve for record in read_sections_json(folder / "sections.json")]
         write_threedm(
             folder / "surface.3dm", surfaces, curves, caps=flat_caps(bodies), name=name,
             provenance=provenance,
         )  # fmt: skip
-    return reasons
+    return tuple(reasons)
+
+
+def _write_patches(
+    folder: Path, form: str, surfaces: Sequence[Surface], name: str, provenance: dict[str, object]
+) -> None:
+    from reconstruction.exporting import write_iges, write_step
+
+    write = {"step": write_step, "iges": write_iges}[form]
+    write(folder / _FILE_OF[form], surfaces, name=name, provenance=provenance)
+
+
+def _write_solid(
+    folder: Path,
+    form: str,
+    bodies: Sequence[Body],
+    name: str,
+    provenance: dict[str, object],
+    volume_mm3: float,
+) -> Iterator[str]:
+    from reconstruction.exporting import write_iges_solid, write_step_solid
+
+    write = {"step": write_step_solid, "iges": write_iges_solid}[form]
+    file = _FILE_OF[form]
+    found = write(folder / file, bodies, name=name, provenance=provenance, volume_mm3=volume_mm3)
+    for reason in found.reasons:
+        yield f"{file} holds open shells, no solid: {reason}"
 
 
 def _bodies(surfaces: Sequence[Surface], solid: SolidOrder) -> tuple[Body, ...]:
@@ -171,7 +195,9 @@ def _load_libraries(formats: list[str]) -> None:
     import reconstruction.exporting  # noqa: F401
 
     if "step" in formats:
-        import OCP.STEPControl  # noqa: F401
+        import OCP.STEPControl
+    if "iges" in formats:
+        import OCP.IGESControl  # noqa: F401
     if "3dm" in formats:
         import rhino3dm  # noqa: F401
 

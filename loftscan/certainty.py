@@ -11,9 +11,10 @@ from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.fit_pipeline import FittedReconstruction
 from reconstruction.meshing import Mesh
 from reconstruction.nurbs import evaluate_surface
-from reconstruction.skinning.skin import Skin
+from reconstruction.skinning.exact_skins import AnySkin
 
 _STEPS_A_SPAN = 2
+_LEAST_STEPS = 64
 _MOST_STEPS = 160  # either way
 _DRAWN_QUANTILE = 0.98  # the colours end there: a tip nobody saw must not hide all else
 
@@ -38,17 +39,23 @@ def draw_certainty(done: FittedReconstruction, camera: Camera, size_px: tuple[in
     )
 
 
-def _sheet(skin: Skin) -> tuple[Mesh, FloatArray]:
+def _sheet(skin: AnySkin) -> tuple[Mesh, FloatArray]:
     """A branch as a lattice of triangles, and the deviation at each of its vertices."""
-    net = skin.fit.net
+    surface = skin.surface
     u, v = (
-        np.linspace(0.0, end, min(int(_STEPS_A_SPAN * end), _MOST_STEPS) + 1) for end in net.spans
+        np.linspace(*domain, _steps(knots) + 1)
+        for domain, knots in zip(surface.domain, (surface.knots_u, surface.knots_v), strict=True)
     )
-    places = evaluate_surface(net.surface(), u, v).reshape(-1, 3)
+    places = evaluate_surface(surface, u, v).reshape(-1, 3)
     at_u, at_v = np.meshgrid(u, v, indexing="ij")
     deviations = skin.deviation_mm(at_u.ravel(), at_v.ravel())
     faces = _triangles(len(u), len(v))
     return Mesh(places, faces, np.zeros(len(places), dtype=np.bool_)), deviations
+
+
+def _steps(knots: FloatArray) -> int:
+    """Enough to see the spans of a direction, and that an exact surface of few spans is round."""
+    return int(np.clip(_STEPS_A_SPAN * len(knots), _LEAST_STEPS, _MOST_STEPS))
 
 
 def _triangles(rows: int, columns: int) -> IntArray:

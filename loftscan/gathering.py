@@ -83,7 +83,8 @@ class Intake:
         Raises
         ------
         ValueError
-            It does not lie above the one before it, seen along its normal.
+            It does not lie above the one before it, seen along its normal, or a point of it is not
+            finite.
         """
         piece = _with_corners(arrival.piece)
         self._check_order(piece)
@@ -163,7 +164,10 @@ def _with_corners(piece: Slice) -> Slice:
     """Note between which corners the points lie, for all who come after."""
     if piece.corners_mm is not None:
         return piece
-    return replace(piece, corners_mm=corners_of(piece.points_mm))
+    try:
+        return replace(piece, corners_mm=corners_of(piece.points_mm))
+    except ValueError as wrong:
+        raise ValueError(f"slice {piece.index}: {wrong}") from wrong
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,6 +15,7 @@ from reconstruction.course import Course
 from reconstruction.errors import NotLoftable
 from reconstruction.fit_pipeline import FittedReconstruction
 from reconstruction.fitted_sections import FittedSection
+from reconstruction.fitting.curve import Exact
 from reconstruction.lofting import mesh_sections
 from reconstruction.meshing import Mesh
 from reconstruction.pipeline import Reconstruction
@@ -40,6 +41,7 @@ def mesh_so_far(sections: Sequence[AnySection]) -> Mesh | None:
     if drawn:
         return mesh_sections(drawn) if len(drawn) > 1 else None
     try:
-        return skin_slices(fitted).mesh
+        # What is there so far may be a cylinder and the whole none: nothing is claimed of it.
+        return skin_slices(fitted, exact=Exact.NEVER).mesh
     except NotLoftable:
         return None

@@ -12,6 +12,7 @@ import numpy as np
 from drivers.profiler import Reason
 from loftscan.gathering import Gathered
 from loftscan.methods import AnyReconstruction
+from loftscan.shape_findings import apexes_said, shapes_said
 from loftscan.sliced import Counted, Sliced
 from reconstruction.comparison import Deviation
 from reconstruction.fit_pipeline import FittedReconstruction
@@ -122,7 +123,10 @@ def _of_fit(done: FittedReconstruction) -> dict[str, object]:
         "joints": len(branching.joints),
         "cavities": sum(branch.hole for branch in branching.branches),
         "mesh_tolerance_mm": done.skinned.tolerance_mm,
-        "surface_sigma_mm": float(np.median([skin.fit.noise.level_mm2**0.5 for skin in skins])),
+        "branches_exact": sum(shape is not None for shape in done.skinned.shapes),
+        "shapes": shapes_said(done),
+        "apexes": apexes_said(done),
+        "surface_sigma_mm": float(np.median([skin.noise.level_mm2**0.5 for skin in skins])),
     }
 
 

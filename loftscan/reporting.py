@@ -8,6 +8,7 @@ from loftscan.branch_findings import tell_doubts
 from loftscan.picturing import draw_pictures
 from loftscan.report import Fact, Finding, MetricGroup, Report, Severity, write_report
 from loftscan.result import Result
+from loftscan.shape_findings import shape_tables, tell_shapes
 from reconstruction.pipeline import Reconstruction
 
 
@@ -33,7 +34,7 @@ def compose(result: Result) -> Report:
         findings=_findings(result),
         pictures=draw_pictures(result),
         left_out=_explain_left_out(result),
-        metrics=_tables(result),
+        metrics=(*_tables(result), *shape_tables(result.reconstruction)),
         provenance=tuple((key, str(value)) for key, value in _flat(result.provenance)),
     )
 
@@ -67,6 +68,8 @@ def _findings(result: Result) -> tuple[Finding, ...]:
             f"of the mesh; {verdict.rule}."
         )
         findings.append(Finding(severity, sentence))
+    told = tell_shapes(result.reconstruction)
+    findings += [Finding(Severity.NOTE, sentence) for sentence in told]
     findings += [
         Finding(Severity.WARNING, f"{text[0].upper()}{text[1:]}.") for text in result.warnings
     ]

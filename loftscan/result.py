@@ -31,12 +31,14 @@ from reconstruction.exporting import (
 from reconstruction.fit_pipeline import FittedReconstruction
 from reconstruction.meshing import Mesh
 from reconstruction.nurbs import Surface
+from reconstruction.skinning.exact_shapes import Shape
 
-FORMATS = ("step", "3dm", "stl", "ply", "glb")
-_LIBRARY_OF = {"step": "OCP", "3dm": "rhino3dm"}
+USUAL_FORMATS = ("step", "3dm", "stl", "ply", "glb")
+FORMATS = (*USUAL_FORMATS, "iges")  # for programs that read no STEP: only when asked for
+_LIBRARY_OF = {"step": "OCP", "iges": "OCP", "3dm": "rhino3dm"}
 MARKS = ("metrics.json", "provenance.json")  # files that tell a result folder
 _OURS = {
-    *("surface.json", "surface.step", "surface.3dm", "sections.json", "report.html"),
+    *("surface.json", "surface.step", "surface.3dm", "surface.igs", "sections.json", "report.html"),
     *("mesh.stl", "mesh.stl.unit.txt", "mesh.ply", "mesh.glb"),
     *("metrics.json", "provenance.json", "comparison.json", "deviation.ply"),
 }
@@ -74,6 +76,14 @@ class Result:
         return self.reconstruction.patches
 
     @property
+    def shapes(self) -> tuple[Shape | None, ...]:
+        """The exact shape of every patch of method fit; None where its surface is a free one."""
+        done = self.reconstruction
+        if isinstance(done, FittedReconstruction):
+            return done.skinned.shapes
+        return (None,) * len(done.patches)
+
+    @property
     def sections(self) -> tuple[AnySection, ...]:
         """The sections, from the lowest up."""
         return self.reconstruction.sections
@@ -99,7 +109,7 @@ class Result:
         folder
             Where; it must not exist, or be empty, unless `overwrite`.
         formats
-            Of `FORMATS`; by default all whose libraries are installed.
+            Of `FORMATS`; by default `USUAL_FORMATS` whose libraries are installed.
         cad
             A writer of the same formats that was started earlier, to save its loading time.
         remark
@@ -137,7 +147,7 @@ class Result:
         self._write_meshes(folder, formats)
         write_result_report(folder / "report.html", self)
         for reason in cad.finish():
-            remark(f"surface.step holds open shells, no solid: {reason}")
+            remark(reason)
 
     def _write_json_files(self, folder: Path) -> None:
         name, said = self.name, self.provenance
@@ -276,7 +286,7 @@ def _check_place(target: Path) -> None:
 
 
 def choose_formats(wanted: Iterable[str] | None) -> tuple[str, ...]:
-    """Check the wanted formats; None: all whose libraries are there.
+    """Check the wanted formats; None: the usual ones whose libraries are there.
 
     Raises
     ------
@@ -286,7 +296,7 @@ def choose_formats(wanted: Iterable[str] | None) -> tuple[str, ...]:
         For a wanted format whose library is not installed.
     """
     if wanted is None:
-        return tuple(each for each in FORMATS if not missing_library(each))
+        return tuple(each for each in USUAL_FORMATS if not missing_library(each))
     chosen = tuple(dict.fromkeys(each.strip().lower() for each in wanted if each.strip()))
     if not chosen:
         raise ValueError(f"--formats '': one of {', '.join(FORMATS)} expected")

@@ -62,7 +62,9 @@ def reconstruct(
         ``"paper"``, the method of the paper, or ``"fit"``: curves fitted to the raw points of every
         slice, and one surface a branch through all of them.
     exact
-        Of ``"fit"``: whether circles and the like are returned as such where the points prefer it.
+        Of ``"fit"``: whether circles of slices, and cylinders, cones, spheres and surfaces of
+        revolution of the part, are returned as such, with their figures (`Result.shapes`), where
+        the points prefer it.
     spacing_mm, resolution_mm
         Distance between slices (of a cloud only), and side of a cell (of ``"paper"`` only); by
         default found from the points.
@@ -183,7 +185,9 @@ def _slices_in(source: object) -> Source | None:
         return KeptScan(ScanFolder.open(Path(source))) if is_scan(source) else None
     if isinstance(source, Sweeps):
         return GivenSweeps(source, source.kinematics, source.total)
-    listed = isinstance(source, (list, tuple)) and source and isinstance(source[0], Slice)
+    listed = isinstance(source, (list, tuple)) and all(
+        isinstance(each, Slice) for each in source[:1]
+    )
     if isinstance(source, Iterator) or listed:
         return GivenSlices(source, _length(source))  # type: ignore[arg-type] # checked as they come
     return None

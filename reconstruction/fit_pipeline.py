@@ -43,7 +43,7 @@ class FittedReconstruction:
     @property
     def patches(self) -> tuple[Surface, ...]:
         """One surface a branch, from the outside in."""
-        return tuple(skin.fit.net.surface() for skin in self.skinned.skins)
+        return tuple(skin.surface for skin in self.skinned.skins)
 
     @property
     def mesh(self) -> Mesh:
@@ -92,6 +92,6 @@ class FitCourse:
         closed = [section.index for section in self._sections if section.closed]
         if len(closed) < 2:
             raise too_few("closed section", closed, indices, skipped, remedy)
-        skinned = skin_slices(self._stack)
+        skinned = skin_slices(self._stack, exact=self._exact)
         cleaned = clean(skinned.mesh, self._cleanup)
         return FittedReconstruction(tuple(self._sections), tuple(skipped), skinned, cleaned)

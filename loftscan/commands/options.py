@@ -17,7 +17,8 @@ Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an e
 Tolerance = Annotated[float | None, typer.Option(help="Judge the points by this distance.")]
 UnitName = Annotated[str, typer.Option(help="Unit of the input: mm, cm, m, um or inch.")]
 Formats = Annotated[
-    str | None, typer.Option(help="Files to write, of step,3dm,stl,ply,glb; by default all.")
+    str | None,
+    typer.Option(help="Files to write, of step,3dm,stl,ply,glb,iges; by default all but iges."),
 ]
 
 

@@ -20,12 +20,12 @@ _BEGUN = time.monotonic()
 
 def writable_formats(wanted: str | None) -> tuple[str, ...]:
     """The formats to write; those that cannot be written by default are said."""
-    from loftscan.result import FORMATS, choose_formats
+    from loftscan.result import USUAL_FORMATS, choose_formats
 
     if wanted is not None:
         return choose_formats(wanted.split(","))
     chosen = choose_formats(None)
-    left_out = [each for each in FORMATS if each not in chosen]
+    left_out = [each for each in USUAL_FORMATS if each not in chosen]
     if left_out:
         typer.echo(
             f"warning: {' and '.join(left_out)} left out, their libraries are not installed: "
@@ -60,6 +60,8 @@ def save(
 
 def tell(result: Result, out: Path, *, json_lines: bool) -> None:
     """Say what came out, in a few lines or in one JSON object."""
+    from loftscan.shape_findings import tell_shapes
+
     numbers = result.metrics
     if json_lines:
         done = {"event": "done", "out": str(out), "warnings": result.warnings, **numbers}
@@ -77,6 +79,8 @@ def tell(result: Result, out: Path, *, json_lines: bool) -> None:
         f"residual rms {numbers['residual_rms_mm'] or math.nan:.3g} mm "
         f"of {numbers['residual_points']} points, cloud width {numbers['thickness_mm']:.3g} mm"
     )
+    for sentence in tell_shapes(result.reconstruction):
+        print(f"shape: {sentence}")
     verdict = result.deviation.verdict
     if verdict is not None:
         print(f"tolerance: {verdict.share_within:.2%} within {verdict.tolerance_mm:g} mm")

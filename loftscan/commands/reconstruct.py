@@ -57,7 +57,7 @@ def reconstruct(
     ] = None,
     exact: Annotated[
         str,
-        typer.Option(help="Circles and the like as such, method fit: auto or never."),
+        typer.Option(help="Circles, cylinders and the like as such, method fit: auto or never."),
     ] = "auto",
     tolerance_mm: Tolerance = None,
     crop: Annotated[

@@ -23,7 +23,7 @@ from reconstruction.arrays import FloatArray
 from reconstruction.nurbs import Along, Curve, Surface, clamped_along
 
 if TYPE_CHECKING:
-    from reconstruction.skinning.skin import Skin
+    from reconstruction.skinning.exact_skins import AnySkin
 
 
 class Closing(Enum):
@@ -42,13 +42,13 @@ class Body:
     closing: Closing = Closing.CAPPED
 
 
-def bodies_of(skins: Sequence[Skin]) -> tuple[Body, ...]:
+def bodies_of(skins: Sequence[AnySkin]) -> tuple[Body, ...]:
     """The bodies of the skins of a scan, in their order."""
     from reconstruction.skinning.branching import is_ring_ended
 
     return tuple(
         Body(
-            skin.fit.net.surface(),
+            skin.surface,
             hole=skin.branch.hole,
             closing=Closing.RING if is_ring_ended(skin.branch) else Closing.CAPPED,
         )

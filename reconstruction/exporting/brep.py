@@ -15,6 +15,7 @@ import numpy as np
 from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.errors import MissingExtra
 from reconstruction.exporting.knots import DistinctKnots, distinct, flat
+from reconstruction.nurbs import Along, clamped_along
 from reconstruction.nurbs.values import Surface
 
 
@@ -41,11 +42,12 @@ def geometry(surface: Surface) -> Any:  # noqa: ANN401 (Open CASCADE has no usab
     """
     from OCP.Geom import Geom_BSplineSurface
 
+    surface = _clamped(surface)
     u, v = (_direction(surface, way) for way in ("u", "v"))
     points = np.roll(surface.control_points_mm, (-u.first_pole, -v.first_pole), axis=(0, 1))
     weights = np.roll(surface.weights, (-u.first_pole, -v.first_pole), axis=(0, 1))
     rational = () if np.all(weights == weights.flat[0]) else (_reals_2d(weights),)
-    made = Geom_BSplineSurface(
+    return Geom_BSplineSurface(
         _points_2d(points),
         *rational,
         _reals(u.knots),
@@ -57,7 +59,6 @@ def geometry(surface: Surface) -> Any:  # noqa: ANN401 (Open CASCADE has no usab
         surface.periodic_u,
         surface.periodic_v,
     )
-    return _clamped(made, surface, u, v)
 
 
 def surface_of(made: Any) -> Surface:  # noqa: ANN401
@@ -153,11 +154,10 @@ def _direction(surface: Surface, way: str) -> DistinctKnots:
         raise ValueError(f"surface {way}: {wrong}") from wrong
 
 
-def _clamped(made: Any, surface: Surface, u: DistinctKnots, v: DistinctKnots) -> Any:  # noqa: ANN401
-    (u0, u1), (v0, v1) = surface.domain
-    if (u.knots[0], u.knots[-1]) != (u0, u1) or (v.knots[0], v.knots[-1]) != (v0, v1):
-        made.Segment(u0, u1, v0, v1)
-    return made
+def _clamped(surface: Surface) -> Surface:
+    if not surface.periodic_u:
+        surface = clamped_along(surface, Along.U)
+    return surface if surface.periodic_v else clamped_along(surface, Along.V)
 
 
 def shell_of(face: Any) -> Any:  # noqa: ANN401

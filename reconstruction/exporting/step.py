@@ -2,8 +2,8 @@
 
 Written by Open CASCADE; what it would put in by itself (statistics on stdout, the clock, its own
 name as the product's) is replaced, so that equal surfaces and an equal time stamp give equal files.
-STEP knows no periodic knots: a periodic direction is written clamped and marked closed, and Open
-CASCADE makes it periodic again when it reads.
+STEP knows no periodic knots: a periodic direction is written unwrapped, with the knots outside its
+domain, and marked closed; Open CASCADE makes it periodic again when it reads.
 """
 
 from __future__ import annotations
@@ -180,6 +180,7 @@ def _text_of(shape: Any, faces: Sequence[tuple[str, Any]], stamps: _Stamps) -> i
     writer = _writer(stamps.schema)
     _transfer(writer, shape)
     _name_faces(writer, faces)
+    _mark_closed(writer, shape)
     model = writer.Model(False)  # noqa: FBT003 (not a new one)
     _name_product(model, stamps.name)
     _write_header(
@@ -224,14 +225,42 @@ def _expect_done(status: Any) -> None:  # noqa: ANN401
 
 def _name_faces(writer: Any, faces: Sequence[tuple[str, Any]]) -> None:  # noqa: ANN401
     """Name faces after their patches: sewing groups them by shell."""
+    finder = writer.WS().TransferWriter().FinderProcess()
+    for name, face in faces:
+        entity = _entity_of(finder, face)
+        if entity is not None:  # a Boolean operation may merge two faces to one, of one name
+            entity.SetName(_text(name))
+
+
+def _mark_closed(writer: Any, shape: Any) -> None:  # noqa: ANN401
+    """Mark rational surfaces closed, too, where they are: Open CASCADE marks the others alone."""
+    from OCP.BRep import BRep_Tool
+    from OCP.StepData import StepData_Logical
+    from OCP.StepGeom import StepGeom_BSplineSurface
+    from OCP.TopAbs import TopAbs_FACE
+    from OCP.TopExp import TopExp_Explorer
+    from OCP.TopoDS import TopoDS
+
+    finder = writer.WS().TransferWriter().FinderProcess()
+    faces = TopExp_Explorer(shape, TopAbs_FACE)
+    while faces.More():
+        face = TopoDS.Face_s(faces.Current())
+        faces.Next()
+        entity = _entity_of(finder, face)
+        told = entity and entity.FaceGeometry()
+        if isinstance(told, StepGeom_BSplineSurface):
+            made = BRep_Tool.Surface_s(face)
+            if made.IsUPeriodic():
+                told.SetUClosed(StepData_Logical.StepData_LTrue)
+            if made.IsVPeriodic():
+                told.SetVClosed(StepData_Logical.StepData_LTrue)
+
+
+def _entity_of(finder: Any, face: Any) -> Any:  # noqa: ANN401
     from OCP.STEPConstruct import STEPConstruct
     from OCP.TopLoc import TopLoc_Location
 
-    finder = writer.WS().TransferWriter().FinderProcess()
-    for name, face in faces:
-        entity = STEPConstruct.FindEntity_s(finder, face, TopLoc_Location())
-        if entity is not None:  # a Boolean operation may merge two faces to one, of one name
-            entity.SetName(_text(name))
+    return STEPConstruct.FindEntity_s(finder, face, TopLoc_Location())
 
 
 def _name_product(model: Any, name: str) -> None:  # noqa: ANN401

@@ -196,6 +196,13 @@ def doubting(fit: Fit, cells: ArcCells) -> Fit:
     return replace(fit, inverse=again.inverse) if _sound(again, cells) else fit
 
 
+def stiffness_along(fit: Fit) -> FloatArray:
+    """Weight of the squared change of curvature over every span, (spans,)."""
+    lengths = span_lengths(fit.control_mm, fit.spans)
+    stiffness = np.exp(_hats(fit.spans, fit.closed) @ fit.log_stiffness)
+    return np.asarray(stiffness / np.maximum(lengths, 1e-3 * lengths.mean()))
+
+
 def stiff_start(
     cells: ArcCells, control_mm: FloatArray, noise: Noise, *, closed: bool
 ) -> FloatArray:

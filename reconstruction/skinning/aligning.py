@@ -10,13 +10,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numba import njit
+from scipy.fft import dst, idst
 
-from reconstruction.arrays import FloatArray, frozen
+from reconstruction.arrays import FloatArray, IntArray, frozen
 from reconstruction.skinning.outlines import Outline
 
+_LEAST_SPANS = 3  # of a face
+_NONE = np.empty(0, np.int64)
 _TABLE = 1024  # places of an outline, evenly along it
 _FINE = 4096  # places from which arc length is told
 _SHAPE = 16.0  # how much more the distance from the middle counts than the place
@@ -35,6 +39,8 @@ class Stations:
     places_mm: FloatArray  # (k, m, 3)
     shares: FloatArray  # (k, m), of each outline's length, increasing; beyond 1 around the seam
     cell_shares: tuple[FloatArray, ...]  # k of (cells,): where on its length each cell belongs
+    creases: tuple[int, ...] = ()  # columns that run along edges of the part
+    spans: int | None = None  # that they stand for, if edges say how many
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "places_mm", frozen(self.places_mm))
@@ -42,13 +48,21 @@ class Stations:
 
     def columns_of_cells(self) -> list[FloatArray]:
         """The column of every cell, a real number in [0, m), outline by outline."""
-        count = self.shares.shape[1]
-        found = []
-        for shares, cells in zip(self.shares, self.cell_shares, strict=True):
-            around = np.append(shares, shares[0] + 1.0)
-            lifted = shares[0] + np.mod(cells - shares[0], 1.0)
-            found.append(np.mod(np.interp(lifted, around, np.arange(count + 1.0)), count))
-        return found
+        return [self.columns_of(k, cells) for k, cells in enumerate(self.cell_shares)]
+
+    def columns_of(self, row: int, shares: FloatArray) -> FloatArray:
+        """Columns, real numbers in [0, m), of shares of one outline's length."""
+        own, count = self.shares[row], self.shares.shape[1]
+        around = np.append(own, own[0] + 1.0)
+        lifted = own[0] + np.mod(shares - own[0], 1.0)
+        return np.asarray(np.mod(np.interp(lifted, around, np.arange(count + 1.0)), count))
+
+    def shares_at(self, row: int, columns: FloatArray) -> FloatArray:
+        """The other way round; columns below 0 or from m on are in the turn before or after."""
+        own, count = self.shares[row], self.shares.shape[1]
+        turns, inside = np.divmod(columns, count)
+        around = np.append(own, own[0] + 1.0)
+        return np.asarray(np.interp(inside, np.arange(count + 1.0), around) + turns)
 
 
 def align(outlines: Sequence[Outline], count: int, *, cyclic: bool = False) -> Stations:
@@ -59,32 +73,99 @@ def align(outlines: Sequence[Outline], count: int, *, cyclic: bool = False) -> S
     cyclic
         The last outline is followed by the first.
     """
-    tables = np.empty((len(outlines), _TABLE, 3))
-    cell_shares = []
-    for k, outline in enumerate(outlines):
-        tables[k], shares = _evenly(outline)
-        cell_shares.append(shares)
+    tables, cell_shares = _tables(outlines)
     axes = outlines[0].frame.axes[:2]
     doubts = np.array([float((each.fitted.deviations_mm**2).mean()) for each in outlines])
     starts = _seams(tables @ axes.T, doubts)
     shares = starts[:, None] + np.arange(count) / count
-    shares = _calmed(_slide(tables, shares, _SWEEPS, cyclic=cyclic))
-    return Stations(_places(tables, shares), shares, tuple(cell_shares))
+    shares = _calmed(_slide(tables, shares, _NONE, _SWEEPS, cyclic=cyclic))
+    return Stations(_places(tables, shares), shares, cell_shares)
 
 
-def _evenly(outline: Outline) -> tuple[FloatArray, FloatArray]:
-    """Places evenly along the outline, counter-clockwise, (table, 3); the cells' shares of it."""
+def align_between(
+    outlines: Sequence[Outline], creases: FloatArray, spans: int, a_span: int, *, cyclic: bool
+) -> Stations:
+    """Lay stations between edges of the part, a whole number of spans on every face.
+
+    Parameters
+    ----------
+    creases
+        (k, c), shares of the outlines' lengths at which edges cross them.
+    spans, a_span
+        About how many spans there are around, and how many stations each of them has.
+    """
+    tables, cell_shares = _tables(outlines)
+    faces = np.diff(creases, axis=1, append=creases[:, :1] + 1.0)
+    counts = np.maximum(np.rint(spans * faces.mean(axis=0)).astype(np.int64), _LEAST_SPANS)
+    # The seam lies in the middle of the widest face: no edge is cut in two.
+    widest = int(np.argmax(counts))
+    order = np.roll(np.arange(len(counts)), -widest - 1)
+    ahead = int(counts[widest]) // 2
+    starts = creases[:, order] + (order <= widest)
+    knots = np.concatenate([[0], counts[order].cumsum()]) + int(counts[widest]) - ahead
+    shares = np.concatenate(
+        [_even(starts[:, f], faces[:, order[f]], int(counts[order[f]]) * a_span)
+         for f in range(len(order))], axis=1,
+    )  # fmt: skip
+    pinned = (knots[:-1] - knots[0]) * a_span
+    shares = _slide(tables, shares, pinned, _SWEEPS, cyclic=cyclic)
+    borders = [*pinned.tolist(), shares.shape[1]]
+    shares = np.concatenate(
+        [_calmed_face(shares[:, start:end], starts[:, f], faces[:, order[f]])
+         for f, (start, end) in enumerate(pairwise(borders))], axis=1,
+    )  # fmt: skip
+    # From the first edge on to the seam: the last stations come first, a turn before.
+    turned = int(knots[0]) * a_span
+    shares = np.concatenate([shares[:, -turned:] - 1.0, shares[:, :-turned]], axis=1)
+    columns = tuple((knots[:-1] * a_span).tolist())
+    return Stations(_places(tables, shares), shares, cell_shares, columns, int(counts.sum()))
+
+
+def _even(starts: FloatArray, faces: FloatArray, count: int) -> FloatArray:
+    """Shares (k, count) from the start of a face, evenly."""
+    return starts[:, None] + faces[:, None] * (np.arange(count) / count)
+
+
+def _tables(outlines: Sequence[Outline]) -> tuple[FloatArray, tuple[FloatArray, ...]]:
+    """Places evenly along each outline, counter-clockwise, (k, table, 3); the cells' shares."""
+    tables, cells = np.empty((len(outlines), _TABLE, 3)), []
+    at = np.arange(_TABLE) / _TABLE
+    for k, outline in enumerate(outlines):
+        walk = _walk(outline)
+        cells.append(walk.shares_of(outline.u))
+        way = slice(None, None, -1) if walk.clockwise else slice(None)
+        along = 1.0 - walk.along[way] if walk.clockwise else walk.along
+        even = np.stack([np.interp(at, along, x) for x in walk.planar_mm[way].T], axis=1)
+        tables[k] = outline.frame.to_part(even)
+    return tables, tuple(cells)
+
+
+def shares_along(outline: Outline, u: FloatArray) -> FloatArray:
+    """Shares of an outline's length, counter-clockwise, at parameters of its curve."""
+    return _walk(outline).shares_of(u)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Walk:
+    """Once along an outline as its parameter runs."""
+
+    u: FloatArray  # (fine + 1,)
+    planar_mm: FloatArray  # (fine + 1, 2)
+    along: FloatArray  # (fine + 1,), shares of its length
+    clockwise: bool
+
+    def shares_of(self, u: FloatArray) -> FloatArray:
+        shares = np.interp(u, self.u, self.along)
+        return 1.0 - shares if self.clockwise else shares
+
+
+def _walk(outline: Outline) -> _Walk:
     start, end = outline.fitted.domain
     u = np.linspace(start, end, _FINE + 1)
     planar = outline.fitted(u)
     along = np.concatenate([[0.0], np.linalg.norm(np.diff(planar, axis=0), axis=1).cumsum()])
     along /= max(float(along[-1]), 1e-300)
-    cells = np.interp(outline.u, u, along)
-    if _area(planar) < 0.0:
-        planar, along, cells = planar[::-1], 1.0 - along[::-1], 1.0 - cells
-    at = np.arange(_TABLE) / _TABLE
-    even = np.stack([np.interp(at, along, column) for column in planar.T], axis=1)
-    return outline.frame.to_part(even), cells
+    return _Walk(u, planar, along, _area(planar) < 0.0)
 
 
 def _area(planar: FloatArray) -> float:
@@ -129,6 +210,18 @@ def _calmed(shares: FloatArray) -> FloatArray:
     return np.asarray(even + away * np.minimum(1.0, most / np.maximum(narrow, 1e-300)))
 
 
+def _calmed_face(shares: FloatArray, starts: FloatArray, faces: FloatArray) -> FloatArray:
+    """The same between two edges, (k, n) stations from the first edge on."""
+    count = shares.shape[1]
+    even = _even(starts, faces, count)
+    waves = dst((shares - even)[:, 1:], type=1, axis=1)
+    waves[:, max(count // _SLOW, 1) :] = 0.0
+    away = np.concatenate([np.zeros((len(shares), 1)), idst(waves, type=1, axis=1)], axis=1)
+    narrow = -np.diff(away, axis=1, append=0.0).min(axis=1, keepdims=True)
+    most = (1.0 - _DENSER) * faces[:, None] / count
+    return np.asarray(even + away * np.minimum(1.0, most / np.maximum(narrow, 1e-300)))
+
+
 def _places(tables: FloatArray, shares: FloatArray) -> FloatArray:
     out = np.empty((*shares.shape, 3))
     for k in range(len(tables)):
@@ -149,10 +242,13 @@ def _look_up(table: FloatArray, shares: FloatArray, out: FloatArray) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _slide(tables: FloatArray, shares: FloatArray, sweeps: int, *, cyclic: bool) -> FloatArray:
+def _slide(
+    tables: FloatArray, shares: FloatArray, pinned: IntArray, sweeps: int, *, cyclic: bool
+) -> FloatArray:
     """Slide stations along their outlines towards their four neighbours, evenly weighed.
 
-    The pull of the neighbours above and below counts in full, that of the ones beside by `_EVEN`.
+    `pinned` columns stay. The pull of the neighbours above and below counts in full, that of the
+    ones beside by `_EVEN`.
     """
     rows, count = shares.shape
     size = tables.shape[1]
@@ -197,6 +293,8 @@ def _slide(tables: FloatArray, shares: FloatArray, sweeps: int, *, cyclic: bool)
                 fresh[k, m] += min(max(move, -0.3 / count), 0.3 / count)
         for k in range(rows):
             _spread(fresh[k], least)
+            for column in pinned:
+                fresh[k, column] = shares[k, column]
             shares[k] = fresh[k]
             _look_up(tables[k], shares[k], places[k])
     return shares

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
-from reconstruction.skinning.net import Net, basis_at
+from reconstruction.skinning.net import Net, basis_of_spans
 from reconstruction.skinning.unknowns import Unknowns, grevilles
 
 _ENTRIES = 7  # of a row: four control points, or three and an apex
@@ -41,10 +41,8 @@ def stiffness_rows(net: Net, unknowns: Unknowns) -> tuple[Rows, Rows]:
 
 def _rows_along(net: Net, unknowns: Unknowns, knots: FloatArray, *, along_u: bool) -> Rows:
     """A row for every span in one direction and every control point of the other."""
-    closed = net.closed_u if along_u else net.closed_v
     spans = int(net.spans[0] if along_u else net.spans[1])
-    at_knots = np.arange(spans + 1, dtype=np.float64)
-    basis = basis_at(np.mod(at_knots, spans) if closed else at_knots, knots, 2, closed=closed)
+    basis = basis_of_spans(knots)
     numbers, slopes, values = _changes(
         net.control_mm, unknowns.directions, unknowns.numbers, net.apex, basis.first, basis.values,
         along_u=along_u,
@@ -64,16 +62,16 @@ def _changes(
 ) -> tuple[IntArray, FloatArray, FloatArray]:  # fmt: skip
     count_u, count_v = control.shape[:2]
     count, others = (count_u, count_v) if along_u else (count_v, count_u)
-    spans = len(firsts) - 1
+    spans = len(firsts) // 2
     numbers = np.full((spans * others, _ENTRIES), -1, np.int64)
     slopes, values = np.zeros((spans * others, _ENTRIES)), np.zeros(spans * others)
-    bends, speeds = np.zeros(spans + 1), np.zeros(spans + 1)
-    parts, tips = np.zeros((spans + 1, 4)), np.zeros((spans + 1, 4, 3))
+    bends, speeds = np.zeros(2 * spans), np.zeros(2 * spans)
+    parts, tips = np.zeros((2 * spans, 4)), np.zeros((2 * spans, 4, 3))
     line, ways = np.empty((4, 3)), np.empty((4, 3))
     for other in range(others):
         if along_u and apex[other]:
             continue
-        for t in range(spans + 1):
+        for t in range(2 * spans):
             for k in range(4):
                 at = (firsts[t] + k) % count
                 i, j = (at, other) if along_u else (other, at)
@@ -82,22 +80,21 @@ def _changes(
         typical = speeds.mean()
         for span in range(spans):
             row = span * others + other if along_u else other * spans + span
-            scale = typical * 0.5 * (speeds[span] + speeds[span + 1])
-            values[row] = scale * (bends[span + 1] - bends[span])
+            scale = typical * 0.5 * (speeds[2 * span] + speeds[2 * span + 1])
+            values[row] = scale * (bends[2 * span + 1] - bends[2 * span])
             for end in range(2):
                 sign = scale if end else -scale
-                t = span + end
+                t = 2 * span + end
                 for k in range(4):
-                    place_in = (firsts[t] - firsts[span]) % count + k
                     at = (firsts[t] + k) % count
                     i, j = (at, other) if along_u else (other, at)
                     if apex[j]:
                         for d in range(3):
                             numbers[row, 4 + d] = number[d, j]
                             slopes[row, 4 + d] += sign * tips[t, k, d]
-                    elif place_in < 4:
-                        numbers[row, place_in] = number[i, j]
-                        slopes[row, place_in] += sign * parts[t, k]
+                    else:
+                        numbers[row, k] = number[i, j]
+                        slopes[row, k] += sign * parts[t, k]
     return numbers, slopes, values
 
 

@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,11 +19,13 @@ from reconstruction.arrays import BoolArray, FloatArray, IntArray
 from reconstruction.caps import triangulate_polygon
 from reconstruction.meshing import Mesh
 from reconstruction.nurbs import evaluate_surface
+from reconstruction.nurbs.flatness import flatness
+from reconstruction.nurbs.grid_lines import place_lines
 from reconstruction.skinning.branching import is_ring_ended
 from reconstruction.skinning.ends import Apex
+from reconstruction.skinning.exact_skins import AnySkin, ExactSkin
 from reconstruction.skinning.net import Net
 from reconstruction.skinning.ring_caps import triangulate_ring
-from reconstruction.skinning.skin import Skin
 
 _MOST_A_SPAN = 16
 _SAMPLED = 4  # of a span, to look how far chords lie off
@@ -48,6 +51,17 @@ def choose_lines(net: Net, tolerance_mm: float) -> Lines:
     return Lines(u[:-1] if net.closed_u else u, v[:-1] if net.closed_v else v)
 
 
+def exact_lines(skin: ExactSkin, tolerance_mm: float) -> Lines:
+    """As few lines as the tolerance allows, and what shows where nothing was measured."""
+    surface, boxes = skin.surface, skin.support.shape
+    also = (
+        np.linspace(*domain, count + 1) for domain, count in zip(surface.domain, boxes, strict=True)
+    )
+    also_u, also_v = also
+    u, v = place_lines(flatness(surface), tolerance_mm=tolerance_mm, also_u=also_u, also_v=also_v)
+    return Lines(u[:-1] if surface.periodic_u else u, v[:-1] if surface.periodic_v else v)
+
+
 def _bows(places: FloatArray) -> FloatArray:
     """How far the surface bows over the chord of each span of the first direction, (spans,)."""
     spans = (len(places) - 1) // _SAMPLED
@@ -69,15 +83,19 @@ def _spread(bows: FloatArray, tolerance_mm: float) -> FloatArray:
     return np.append(np.concatenate(parts), float(len(bows)))
 
 
-def closed_mesh(skin: Skin, tolerance_mm: float) -> Mesh:
+def closed_mesh(skin: AnySkin, tolerance_mm: float) -> Mesh:
     """Mesh a branch, closed, faces outwards; of a cavity they look into the material."""
-    net = skin.fit.net
-    lines = choose_lines(net, tolerance_mm)
-    rings = evaluate_surface(net.surface(), lines.u, lines.v).swapaxes(0, 1)
+    surface = skin.surface
+    if isinstance(skin, ExactSkin):
+        lines = exact_lines(skin, tolerance_mm)
+    else:
+        lines = choose_lines(skin.fit.net, tolerance_mm)
+    rings = evaluate_surface(surface, lines.u, lines.v).swapaxes(0, 1)
     marks = skin.synthetic(*np.meshgrid(lines.u, lines.v, indexing="ij")).T
-    numbers, vertices, synthetic = _numbered(rings, marks, net.apex)
+    pointed = [isinstance(brim, Apex) for brim in skin.brims or ()]
+    numbers, vertices, synthetic = _numbered(rings, marks, pointed or [False, False])
     faces = [_band(numbers[k], numbers[k + 1]) for k in range(len(numbers) - 1)]
-    if net.closed_v:
+    if surface.periodic_v:
         faces.append(_band(numbers[-1], numbers[0]))
     elif is_ring_ended(skin.branch):
         faces.append(_ring(rings, numbers, skin.branch.outlines[0].frame.axes[:2]))
@@ -98,14 +116,13 @@ def closed_mesh(skin: Skin, tolerance_mm: float) -> Mesh:
 
 
 def _numbered(
-    rings: FloatArray, marks: BoolArray, apex: BoolArray
+    rings: FloatArray, marks: BoolArray, pointed: Sequence[bool]
 ) -> tuple[list[IntArray], FloatArray, BoolArray]:
     """Vertex numbers of every ring; a ring that is one point is one vertex."""
     numbers, vertices, synthetic = [], [], []
     count = 0
     for k, ring in enumerate(rings):
-        pointed = (k == 0 and apex[0]) or (k == len(rings) - 1 and apex[-1])
-        if pointed:
+        if (k == 0 and pointed[0]) or (k == len(rings) - 1 and pointed[-1]):
             numbers.append(np.full(len(ring), count))
             vertices.append(ring[:1])
             synthetic.append(marks[k][:1])

@@ -19,6 +19,7 @@ from reconstruction.nurbs import evaluate_surface
 from reconstruction.skinning.net import Net, derivatives_at
 from reconstruction.skinning.outlines import Moments
 
+_BEFORE = 1e-6  # a crease
 _A_SPAN = 3  # places of the net a span, to look for the nearest
 
 
@@ -54,10 +55,11 @@ def find_feet(
         (3, 3), covariance of a point's error.
     """
     end_u, end_v = net.spans
+    low, high = _faces(net, u)
     for _ in range(rounds):
         derivatives = derivatives_at(net, u, v)
         u, v = _stepped(
-            derivatives, moments.means_mm, u, v, end_u, end_v,
+            derivatives, moments.means_mm, u, v, low, high, end_u, end_v,
             closed_u=net.closed_u, closed_v=net.closed_v,
         )  # fmt: skip
     derivatives = derivatives_at(net, u, v)
@@ -65,6 +67,19 @@ def find_feet(
         derivatives, moments.means_mm, moments.covariances_mm2, noise_mm2
     )
     return Feet(u, v, normals, distances, scatters)
+
+
+def _faces(net: Net, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Bounds in u (m,) of the face that each foot (m,) stands on; it does not step over a crease.
+
+    The face that holds the seam goes on beyond it.
+    """
+    creases, end_u = net.creases.astype(np.float64), net.spans[0]
+    if not len(creases):
+        return np.full(len(u), -np.inf), np.full(len(u), np.inf)
+    around = np.concatenate([[creases[-1] - end_u], creases, [creases[0] + end_u]])
+    face = np.searchsorted(creases, u, "right")
+    return around[face], around[face + 1] - _BEFORE
 
 
 def nearby(net: Net, cells: Moments, reach_mm: float) -> tuple[Moments, FloatArray, FloatArray]:
@@ -85,8 +100,8 @@ def nearby(net: Net, cells: Moments, reach_mm: float) -> tuple[Moments, FloatArr
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _stepped(
-    derivatives: FloatArray, means: FloatArray, u: FloatArray, v: FloatArray, end_u: float,
-    end_v: float, *, closed_u: bool, closed_v: bool,
+    derivatives: FloatArray, means: FloatArray, u: FloatArray, v: FloatArray, low: FloatArray,
+    high: FloatArray, end_u: float, end_v: float, *, closed_u: bool, closed_v: bool,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """One damped Newton step for every foot point, a knot at most."""
     new_u, new_v = u.copy(), v.copy()
@@ -113,7 +128,8 @@ def _stepped(
             step_v = rv / c if c > 0.0 else 0.0
         else:
             step_u, step_v = (c * ru - b * rv) / determinant, (a * rv - b * ru) / determinant
-        new_u[m] = _inside(u[m] + min(max(step_u, -1.0), 1.0), end_u, closed_u)
+        at_u = min(max(u[m] + min(max(step_u, -1.0), 1.0), low[m]), high[m])
+        new_u[m] = _inside(at_u, end_u, closed_u)
         new_v[m] = _inside(v[m] + min(max(step_v, -1.0), 1.0), end_v, closed_v)
     return new_u, new_v
 

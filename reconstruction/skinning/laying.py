@@ -18,7 +18,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from reconstruction.arrays import FloatArray, frozen
+from reconstruction.arrays import FloatArray, IntArray, frozen
 from reconstruction.nurbs import evaluate_surface
 from reconstruction.skinning.aligning import Stations
 from reconstruction.skinning.ends import Apex, Brim
@@ -64,7 +64,8 @@ def lay_net(
         rows, places = _closing_rows(stations, spans[1])
     else:
         rows, places = _open_rows(stations, brims, spans[1])
-    net = _net(places, rows, spans, brims)
+    creases = np.array(stations.creases, dtype=np.int64) * spans[0] // columns
+    net = _net(places, rows, spans, brims, creases)
     own = rows if brims is None else rows[1:-1]
     u = np.concatenate(stations.columns_of_cells()) * (spans[0] / columns)
     v = np.concatenate(_rows_of_cells(outlines, own, spans[1], closed=brims is None))
@@ -129,9 +130,11 @@ def _net(
     rows: FloatArray,
     spans: tuple[int, int],
     brims: tuple[Brim | Apex, Brim | Apex] | None,
+    creases: IntArray,
 ) -> Net:
     """Control points by penalised least squares, first around, then along."""
-    knots_u, knots_v = knots_of(spans[0], closed=True), knots_of(spans[1], closed=brims is None)
+    knots_u = knots_of(spans[0], closed=True, creases=creases)
+    knots_v = knots_of(spans[1], closed=brims is None)
     columns = np.arange(places.shape[1]) / places.shape[1] * spans[0]
     around = _smoother(columns, knots_u, np.ones(len(columns)), places.swapaxes(0, 1), closed=True)
     weights = np.ones(len(rows))
@@ -146,7 +149,8 @@ def _net(
             apex[row], control[:, row] = True, brim.point_mm
         else:
             brim.press(control[:, row])
-    return Net(control, knots_u, knots_v, closed_u=True, closed_v=brims is None, apex=apex)
+    net = Net(control, knots_u, knots_v, closed_u=True, closed_v=brims is None, apex=apex)
+    return net.cut_at(creases)
 
 
 def _smoother(
@@ -177,7 +181,7 @@ def _design(t: FloatArray, knots: FloatArray, *, closed: bool) -> tuple[FloatArr
     """Basis functions at parameters (m, n), and what penalises third differences, (n, n)."""
     basis = basis_at(t, knots, 0, closed=closed)
     spans = int(knots[-4])
-    count = spans + (0 if closed else 3)
+    count = len(knots) - (7 if closed else 4)
     design = np.zeros((len(t), count))
     for k in range(4):
         np.add.at(design, (np.arange(len(t)), (basis.first + k) % count), basis.values[:, 0, k])

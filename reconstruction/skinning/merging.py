@@ -48,7 +48,8 @@ class Merged:
 
 def merged_for(net: Net, cells: Cells) -> Merged:
     """As many cells in a span as it can use, if there are far more."""
-    columns, rows = (int(max(_A_SPAN * end, _LEAST)) for end in net.spans)
+    # A whole number in each span: at a crease, a knot, no cell belongs to both faces.
+    columns, rows = (int(end * max(_A_SPAN, np.ceil(_LEAST / end))) for end in net.spans)
     if len(cells.u) <= _FAR_TOO_MANY * columns * rows:
         return Merged(Moments.together(cells.parts), cells.u, cells.v, None)
     column, row = (
@@ -62,7 +63,7 @@ def merged_for(net: Net, cells: Cells) -> Merged:
     used = np.bincount(groups, minlength=columns * rows) > 0
     groups = (np.cumsum(used) - 1)[groups]
     count = int(used.sum())
-    held = np.bincount(groups, counts, count)
+    held = np.asarray(np.bincount(groups, counts, count), dtype=np.float64)
     u, v = (np.bincount(groups, counts * t, count) / held for t in (cells.u, cells.v))
     return Merged(_moments(cells.parts, groups, held), u, v, groups)
 

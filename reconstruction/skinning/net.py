@@ -3,6 +3,10 @@
 Knots are the integers in both directions; u runs around the outlines, v from outline to outline. An
 open direction is clamped, so that a surface ends on its last row of control points. A row may be an
 *apex*: all its control points are one.
+
+At a *crease*, an integer u, the knot stands four times: two columns of control points end there,
+one from either face, so that each moves along the normal of its own face. They are one in space,
+and one, on a triple knot, in the surface that the net hands out.
 """
 
 from __future__ import annotations
@@ -14,8 +18,11 @@ from numba import njit
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray, frozen
 from reconstruction.nurbs import Surface, basis_derivatives
+from reconstruction.nurbs.kernels import basis_derivative_rows
 
+_DEGREE = 3
 _EMPTY = 1e-300
+_NONE = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +42,18 @@ class Net:
         object.__setattr__(self, "apex", frozen(self.apex, np.bool_))
 
     @property
+    def creases(self) -> IntArray:
+        """Values of u (c,) at which the surface has an edge."""
+        counts = np.bincount(self.knots_u[4:-4].astype(np.int64))
+        return np.asarray(np.flatnonzero(counts > _DEGREE))
+
+    @property
+    def crease_columns(self) -> IntArray:
+        """Columns of control points (c, 2) that meet in creases, from before and from behind."""
+        right = np.searchsorted(self.knots_u, self.creases)
+        return np.stack([right - 1, right], axis=1)
+
+    @property
     def spans(self) -> tuple[float, float]:
         """Ends of the domain, which begins at 0."""
         return (
@@ -46,11 +65,26 @@ class Net:
         """The same net with other control points."""
         return replace(self, control_mm=control_mm)
 
+    def cut_at(self, creases: IntArray) -> Net:
+        """The same with two columns of control points for one at triple knots (c,) of u."""
+        if not len(creases):
+            return self
+        whole = np.searchsorted(self.knots_u, creases) - 1
+        knots_u = knots_of(
+            int(self.spans[0]), closed=self.closed_u, creases=creases, times=_DEGREE + 1
+        )
+        control = np.insert(self.control_mm, whole, self.control_mm[whole], axis=0)
+        return replace(self, control_mm=control, knots_u=knots_u)
+
     def surface(self) -> Surface:
         """As a NURBS surface of weights one."""
+        knots_u, control = self.knots_u, self.control_mm
+        if len(self.creases):
+            knots_u = knots_of(int(self.spans[0]), closed=self.closed_u, creases=self.creases)
+            control = np.delete(control, self.crease_columns[:, 1], axis=0)
         return Surface(
-            3, 3, self.knots_u, self.knots_v, self.control_mm,
-            np.ones(self.control_mm.shape[:2]), self.closed_u, self.closed_v,
+            3, 3, knots_u, self.knots_v, control, np.ones(control.shape[:2]), self.closed_u,
+            self.closed_v,
         )  # fmt: skip
 
 
@@ -62,10 +96,22 @@ class Basis:
     values: FloatArray  # (m, order + 1, 4)
 
 
-def knots_of(spans: int, *, closed: bool) -> FloatArray:
-    """Integer knots of a cubic on [0, spans]: clamped, or repeating."""
-    knots = np.arange(-3.0, spans + 4.0)
-    return knots if closed else np.clip(knots, 0.0, spans)
+def knots_of(
+    spans: int, *, closed: bool, creases: IntArray = _NONE, times: int = _DEGREE
+) -> FloatArray:
+    """Integer knots of a cubic on [0, spans]: clamped, or repeating.
+
+    Parameters
+    ----------
+    creases
+        (c,), knots between 0 and spans that stand so many `times`.
+    """
+    if not closed:
+        inner = np.sort(np.append(np.arange(1, spans), np.repeat(creases, times - 1)))
+        return np.concatenate([np.zeros(4), inner, np.full(4, float(spans))])
+    period = np.sort(np.append(np.arange(spans), np.repeat(creases, times - 1)))
+    turns, places = np.divmod(np.arange(-_DEGREE, len(period) + _DEGREE + 1), len(period))
+    return np.asarray(period[places] + turns * float(spans))
 
 
 def basis_at(t: FloatArray, knots: FloatArray, order: int, *, closed: bool) -> Basis:
@@ -81,10 +127,11 @@ def basis_at(t: FloatArray, knots: FloatArray, order: int, *, closed: bool) -> B
 def _cubics(t: FloatArray, knots: FloatArray, order: int) -> tuple[IntArray, FloatArray]:
     """What `nurbs.basis_derivatives` gives, for knots that are integers, several times as fast."""
     first, values = np.empty(len(t), np.int64), np.zeros((len(t), order + 1, 4))
-    spans = len(knots) - 7
+    spans = int(knots[-4])
+    starts = np.searchsorted(knots, np.arange(spans), "right") - 1
     line, plain = np.empty(2), np.empty(3)
     for m in range(len(t)):
-        s = min(max(int(np.floor(t[m])), 0), spans - 1)
+        s = starts[min(max(int(np.floor(t[m])), 0), spans - 1)] - 3
         first[m] = s
         # The knots about the span: k2 <= t < k3; both beside them may repeat.
         k0, k1, k2, k3, k4, k5 = (
@@ -114,6 +161,18 @@ def _cubics(t: FloatArray, knots: FloatArray, order: int) -> tuple[IntArray, Flo
                 -3.0 * c, 3.0 * (c - d), 3.0 * (d - e), 3.0 * e
             )  # fmt: skip
     return first, values
+
+
+def basis_of_spans(knots: FloatArray) -> Basis:
+    """Basis functions at both ends of every span (s,): values (2 s, 3, 4), start and end in turn.
+
+    Of a span's own polynomial: at a crease the next span bends otherwise.
+    """
+    spans = int(knots[-4])
+    starts = np.searchsorted(knots, np.arange(spans), "right") - 1
+    at = np.arange(spans)[:, None] + np.array([0.0, 1.0])
+    rows = basis_derivative_rows(at.ravel(), np.repeat(starts, 2), knots, _DEGREE, 2)
+    return Basis(np.repeat(starts - _DEGREE, 2), np.ascontiguousarray(np.moveaxis(rows, 2, 1)))
 
 
 def greville(knots: FloatArray, count: int) -> FloatArray:

@@ -28,7 +28,8 @@ from reconstruction.skinning.variances import row_variances
 
 _LEAST_POINTS = 12.0
 _LEASH = 9.0  # variances of a point, and a span, that a control point may well go from its start
-_FREE = 1e-8  # of its own pivot, for what the stiffness leaves free
+_FREE = 1e-10  # of its own pivot, for what the stiffness leaves free
+_APART = 14.0  # logarithms: a stiffness beside one so much greater would be less than that
 _RIDGE = 1e-12  # of the largest pivot
 _FULL = 4.0  # standard deviations up to which a cell counts in full ...
 _NONE = 8.0  # ... and from which it does not count
@@ -254,4 +255,5 @@ def _learnt(
         found, gain = lattice.stepped(each, log, other, rank - share, forms)
         fresh.append(found)
         gained += gain
-    return (fresh[0], fresh[1]), spent, gained
+    most = np.minimum(fresh[0], fresh[1]) + _APART
+    return (np.minimum(fresh[0], most), np.minimum(fresh[1], most)), spent, gained

@@ -9,9 +9,10 @@ import numpy as np
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
 from reconstruction.errors import Unfittable
-from reconstruction.nurbs import points_and_tangents_at
-from reconstruction.skinning.aligning import Stations, align
+from reconstruction.nurbs import Surface, points_and_tangents_at
+from reconstruction.skinning.aligning import Stations, align, align_between
 from reconstruction.skinning.branch import Branch
+from reconstruction.skinning.creases import find_creases
 from reconstruction.skinning.ends import Apex, Brim, brim_or_apex
 from reconstruction.skinning.feet import nearby
 from reconstruction.skinning.laying import Laid, lay_net
@@ -50,6 +51,26 @@ class Skin:
     laid: Laid
     stations: Stations
     fit: TensorFit
+
+    @property
+    def moments(self) -> Moments:
+        """The cells that the surface was fitted to, those of `fit.feet`."""
+        return self.fit.moments
+
+    @property
+    def shape(self) -> None:
+        """No exact one: see `exact_skins`."""
+        return None
+
+    @property
+    def surface(self) -> Surface:
+        """The fitted surface, open ends clamped."""
+        return self.fit.net.surface()
+
+    @property
+    def noise(self) -> Noise:
+        """The scatter of a point about the surface."""
+        return self.fit.noise
 
     def deviation_mm(self, u: FloatArray, v: FloatArray) -> FloatArray:
         """Posterior standard deviation across the surface at (m,), (m,)."""
@@ -96,33 +117,52 @@ def skin_branch(branch: Branch, loose: Moments | None = None) -> Skin:
     """
     branch, stations, wild = _aligned(branch)
     loose = Moments.together([each for each in (loose, *wild) if each is not None])
-    brims = _brims(branch)
+    sure, likely = find_creases(branch.outlines, stations)
+    skin = _skin(branch, stations, loose, sure)
+    if likely.shape[1] == sure.shape[1]:
+        return skin
+    other = _skin(branch, stations, loose, likely)
+    return other if _dear(other) < _dear(skin) else skin
+
+
+def _skin(branch: Branch, stations: Stations, loose: Moments, creases: FloatArray) -> Skin:
+    """The same with known creases (k, c): few spans to begin with, where they may do."""
     spans = (_spans_around(branch), _spans_along(branch))
     halvings = (
         _halvings(spans[0], _LEAST_SPANS_U, _WIDE_SPANS_U),
         _halvings(spans[1], _LEAST_SPANS_V, _WIDE_SPANS_V),
     )
     if any(halvings):
+        wide = (-(-spans[0] // 2 ** halvings[0]), -(-spans[1] // 2 ** halvings[1]))
         try:
-            return _fitted(branch, stations, loose, brims, spans, halvings)
+            laid = _between(branch, stations, creases, wide[0])
+            return _fitted(branch, laid, loose, wide, halvings)
         except Unfittable:  # too wide to find the points: narrow from the beginning
             pass
-    return _fitted(branch, stations, loose, brims, spans, (0, 0))
+    laid = _between(branch, stations, creases, spans[0])
+    return _fitted(branch, laid, loose, spans, (0, 0))
+
+
+def _between(branch: Branch, stations: Stations, creases: FloatArray, spans: int) -> Stations:
+    """Stations laid anew between edges (k, c), if there are any, for about so many spans."""
+    if not creases.shape[1]:
+        return stations
+    a_span = -(-stations.shares.shape[1] // spans)
+    return align_between(branch.outlines, creases, spans, a_span, cyclic=branch.cyclic)
 
 
 def _fitted(
     branch: Branch,
     stations: Stations,
     loose: Moments,
-    brims: tuple[Brim | Apex, Brim | Apex] | None,
     spans: tuple[int, int],
     halvings: tuple[int, int],
 ) -> Skin:
-    """A net through the stations, fitted; it may come to so many spans by halving its own."""
-    outlines = branch.outlines
-    wide = (-(-spans[0] // 2 ** halvings[0]), -(-spans[1] // 2 ** halvings[1]))
-    laid = lay_net(outlines, stations, brims, wide)
-    noise = _noise(branch)
+    """A net of so many spans laid through the stations, and fitted; it may halve them."""
+    outlines, brims = branch.outlines, brims_of(branch)
+    spans = (stations.spans or spans[0], spans[1])
+    laid = lay_net(outlines, stations, brims, spans)
+    noise = noise_of(branch)
     cells = Cells(tuple(outline.moments for outline in outlines), laid.u, laid.v)
     if len(loose):
         near, u, v = nearby(laid.net, loose, _REACH * math.sqrt(noise.level_mm2))
@@ -131,6 +171,13 @@ def _fitted(
         )
     fit = fit_net(laid.net, cells, noise, rims=_rims(brims), halvings=halvings)
     return Skin(branch, brims, laid, stations, fit)
+
+
+def _dear(skin: Skin) -> float:
+    """What a fit costs: its misfit, and its freedom at the price of Schwarz (1978)."""
+    noise = skin.fit.noise
+    held = max(skin.moments.total / noise.inflation, 2.0)
+    return held * math.log(noise.level_mm2) + math.log(held) * skin.fit.edf
 
 
 def _aligned(branch: Branch) -> tuple[Branch, Stations, list[Moments]]:
@@ -191,7 +238,8 @@ def _halvings(spans: int, least: int, wide: int) -> int:
     return times
 
 
-def _brims(branch: Branch) -> tuple[Brim | Apex, Brim | Apex] | None:
+def brims_of(branch: Branch) -> tuple[Brim | Apex, Brim | Apex] | None:
+    """How a branch ends, low and high; None: it closes in v."""
     if branch.ends is None:
         return None
     low, high = branch.ends
@@ -211,7 +259,7 @@ def _rims(brims: tuple[Brim | Apex, Brim | Apex] | None) -> tuple[Rim, Rim]:
     return low, high
 
 
-def _noise(branch: Branch) -> Noise:
+def noise_of(branch: Branch) -> Noise:
     """Scatter and kinship as the sections saw them; the fit looks at the scatter again."""
     sigma = float(np.median([outline.fitted.sigma_mm for outline in branch.outlines]))
     inflation = float(np.median([outline.fitted.inflation for outline in branch.outlines]))

@@ -2,6 +2,7 @@
 
 outlines of every slice -> branches -> a surface each -> closed meshes -> one watertight solid
            `drawing`       `branching`    `skin`          `closing`       `joining`
+                                       or `exact_skins`
 """
 
 from __future__ import annotations
@@ -11,18 +12,30 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from reconstruction.fitting.curve import Exact
 from reconstruction.meshing import Mesh
+from reconstruction.skinning.branch import Branch
 from reconstruction.skinning.branching import Branching, find_branches
 from reconstruction.skinning.closing import closed_mesh
 from reconstruction.skinning.drawing import SliceOutlines
+from reconstruction.skinning.exact_ends import Levels
+from reconstruction.skinning.exact_shapes import Shape
+from reconstruction.skinning.exact_skins import (
+    AnySkin,
+    exact_in_place_of,
+    exact_skin,
+)
 from reconstruction.skinning.folding import fold
 from reconstruction.skinning.joining import join_solids
 from reconstruction.skinning.outlines import Moments, Outline, lifted
-from reconstruction.skinning.skin import Skin, skin_branch
+from reconstruction.skinning.primitives import Cone, Cylinder
+from reconstruction.skinning.skin import skin_branch
 
 _THICK = 2.0  # times the usual scatter
-_CHORD = 0.1  # of the scatter of the points: what a facet may stand off the surface
+_CHORD = 0.05  # of the scatter of the points: what a facet may stand off the surface
 _LEAST_CHORD = 2e-5  # of the part's size
+_FINER = 0.2  # of that, on cylinders and cones: narrow facets follow them at little cost
+_LEAST_FINER = 0.4
 _SLIVER = 0.05  # of the chord
 
 
@@ -31,13 +44,31 @@ class Skinned:
     """The surface of a scan."""
 
     branching: Branching
-    skins: tuple[Skin, ...]  # one a branch, from the outside in
+    skins: tuple[AnySkin, ...]  # one a branch, from the outside in
     mesh: Mesh  # watertight
     tolerance_mm: float  # between mesh and surfaces
 
+    @property
+    def shapes(self) -> tuple[Shape | None, ...]:
+        """The exact shape of every branch; None where its surface is a free one."""
+        return tuple(skin.shape for skin in self.skins)
 
-def skin_slices(slices: Sequence[SliceOutlines], *, tolerance_mm: float | None = None) -> Skinned:
+
+def skin_slices(
+    slices: Sequence[SliceOutlines],
+    *,
+    tolerance_mm: float | None = None,
+    exact: Exact = Exact.AUTO,
+) -> Skinned:
     """Fit, close and join the surfaces of slices, given in any order.
+
+    Parameters
+    ----------
+    tolerance_mm
+        Between mesh and surfaces; by default a share of the scatter of the points, less where a
+        surface is exact.
+    exact
+        Whether a branch whose points are one exact shape is given its surface.
 
     Raises
     ------
@@ -54,13 +85,26 @@ def skin_slices(slices: Sequence[SliceOutlines], *, tolerance_mm: float | None =
     indices = [each.index for each in stack]
     branching = find_branches(outlines, heights, indices=indices, unresolved=unresolved)
     loose = _loose(stack, branching, thick.values())
-    skins = tuple(skin_branch(branch, loose) for branch in fold(branching.branches))
-    within = tolerance_mm or _chord(skins)
-    parts = [closed_mesh(skin, within) for skin in skins]
+    heaps = [doubt and not held for doubt, held in zip(unresolved, outlines, strict=True)]
+    levels = Levels(heights, np.array(heaps))
+    skins = tuple(_skin(branch, loose, levels, exact) for branch in fold(branching.branches))
+    chords = [tolerance_mm or _chord(skin, skins) for skin in skins]
+    within = max(chords)
+    parts = [closed_mesh(skin, chord) for skin, chord in zip(skins, chords, strict=True)]
     holes = [skin.branch.hole for skin in skins]
     axis = stack[0].frame.axes[2]
-    mesh = join_solids(parts, holes, within_mm=_SLIVER * within, normal=axis)
+    mesh = join_solids(parts, holes, within_mm=_SLIVER * min(chords), normal=axis)
     return Skinned(branching, skins, mesh, within)
+
+
+def _skin(branch: Branch, loose: Moments | None, levels: Levels, exact: Exact) -> AnySkin:
+    if exact is Exact.NEVER:
+        return skin_branch(branch, loose)
+    found = exact_skin(branch, loose, levels)
+    if found is not None:
+        return found
+    free = skin_branch(branch, loose)
+    return exact_in_place_of(free, levels) or free
 
 
 def _thick(stack: Sequence[SliceOutlines]) -> dict[int, Outline]:
@@ -85,8 +129,10 @@ def _loose(
     return Moments.together(parts) if parts else None
 
 
-def _chord(skins: Sequence[Skin]) -> float:
-    sigma = float(np.median([skin.fit.noise.level_mm2**0.5 for skin in skins]))
-    places = np.concatenate([skin.fit.net.control_mm.reshape(-1, 3) for skin in skins])
+def _chord(skin: AnySkin, skins: Sequence[AnySkin]) -> float:
+    sigma = float(np.median([each.noise.level_mm2**0.5 for each in skins]))
+    places = np.concatenate([each.surface.control_points_mm.reshape(-1, 3) for each in skins])
     size = float(np.linalg.norm(np.ptp(places, axis=0)))
+    if skin.shape is not None and isinstance(skin.shape.form, Cylinder | Cone):
+        return max(_FINER * _CHORD * sigma, _LEAST_FINER * _LEAST_CHORD * size)
     return max(_CHORD * sigma, _LEAST_CHORD * size)

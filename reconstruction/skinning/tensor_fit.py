@@ -41,6 +41,7 @@ _ASTRAY = 4.0  # times the first round's scatter: the fit has lost its points
 _RELAID = (2, 4)  # rounds after which v is made to run evenly again
 _LEARNT = (0.25, 1e-3)  # log likelihood, and of it a degree of freedom: less is not worth a round
 _WIDE_LEARNT = 1e-2  # the same of a net whose spans will be halved
+_RESTING, _STIRRED = 0.05, 4.0  # of a degree of freedom; times what the calmest round has gained
 _STILL = 0.05  # standard deviations: a surface that moves less stands still
 _CALMING = 4  # rounds at most once nothing is learnt
 _LIVELY = 0.5  # of the waves that a net has: data that determine more get narrower spans
@@ -77,6 +78,7 @@ class TensorFit:
 
     net: Net
     unknowns: Unknowns
+    moments: Moments  # the cells, merged where there were far more than the net can use
     feet: Feet
     weights: FloatArray  # (m,), robust, 0 .. 1
     noise: Noise
@@ -130,6 +132,7 @@ def fit_net(
             f"{cells.total} points do not hold a surface of {net.control_mm.shape[:2]} control"
             " points; are the slices those of one part?"
         )
+    used = merged.moments
     while any(along := _too_wide(done[0], _may(halvings))):
         _, state, rounds = done
         cells = moved_along(cells, merged, state.u, state.v, state.net)
@@ -141,10 +144,10 @@ def fit_net(
         narrow = _at_rest(state, merged.moments, lattice, rims, _may(halvings), begun=rounds)
         if narrow is None:
             break
-        done = narrow
+        done, used = narrow, merged.moments
     found, state, rounds = done
     return TensorFit(
-        found.net, found.unknowns, found.feet, found.weights, found.noise, state.stiffness,
+        found.net, found.unknowns, used, found.feet, found.weights, found.noise, state.stiffness,
         found.edf, Posterior(found.factor, found.inverse), found.misfit, rounds,
     )  # fmt: skip
 
@@ -184,6 +187,7 @@ def _at_rest(
     """
     first: tuple[Round, State, int] | None = None
     last: tuple[Round, State, int] | None = None
+    calmest: tuple[Round, State, int] | None = None
     learning, calming = True, 0
     for turn in range(begun, begun + _ROUNDS):
         manner = Manner(learning, _WIDE_MODEL if any(finer) else _MODEL, 3 if turn == begun else 1)
@@ -199,6 +203,10 @@ def _at_rest(
         if turn in _RELAID:
             again, v = relaid(state.net, state.v)
             state = replace(state, net=again, start_mm=again.control_mm, v=v)
+        if calmest is None or found.gained <= calmest[0].gained:
+            calmest = last
+        elif _stirred(found, calmest[0]):
+            return calmest
         if turn >= begun + _LEAST_ROUNDS and _nothing_more(found, finer):
             break
         if turn <= _RELAID[-1]:
@@ -208,6 +216,12 @@ def _at_rest(
         if not learning and (found.moved < _STILL or calming > _CALMING):
             break
     return last
+
+
+def _stirred(found: Round, calmest: Round) -> bool:
+    """Whether a stiffness that had nearly come to rest runs away, as it does on a ball."""
+    near = math.isfinite(found.gained) and calmest.gained < 1.0 + _RESTING * calmest.edf
+    return near and found.gained > _STIRRED * calmest.gained + 1.0
 
 
 def _nothing_more(found: Round, finer: tuple[bool, bool]) -> bool:

@@ -19,11 +19,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from reconstruction.arrays import FloatArray, IntArray, frozen
+from reconstruction.skinning.edges import joined
 from reconstruction.skinning.net import Net, derivatives_at, greville, unit_normals
 
 APEX = 3  # unknowns of an apex: it moves freely
 _REACH = 3  # rows apart that two coupled unknowns may be
 _FOLDED_REACH = 6
+_BEFORE = 1e-6  # a crease, where the face before it is meant
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,6 +106,7 @@ def grevilles(net: Net) -> tuple[FloatArray, FloatArray]:
     count_u, count_v = net.control_mm.shape[:2]
     u, v = greville(net.knots_u, count_u), greville(net.knots_v, count_v)
     end_u, end_v = net.spans
+    u[net.crease_columns[:, 0]] -= _BEFORE
     u = np.mod(u, end_u) if net.closed_u else u
     v = np.mod(v, end_v) if net.closed_v else v
     # Beside an apex the normal is looked for a little inside.
@@ -118,6 +121,8 @@ def applied(net: Net, unknowns: Unknowns, moves: FloatArray) -> FloatArray:
     control = net.control_mm + moves[unknowns.numbers][:, :, None] * unknowns.directions
     for j in np.flatnonzero(net.apex):
         control[:, j] = net.control_mm[:, j] + moves[unknowns.numbers[:APEX, j]]
+    if len(net.creases):
+        return joined(net, control, moves[unknowns.numbers], unknowns.directions)
     return np.asarray(control)
 
 

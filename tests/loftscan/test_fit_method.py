@@ -15,7 +15,7 @@ from loftscan import reconstruct, reconstruct_stream
 from loftscan.result import Result
 from loftscan.updates import Finished, Fitted, Missed
 from reconstruction.arrays import FloatArray
-from reconstruction.errors import NotLoftable
+from reconstruction.errors import NotLoftable, TooFewPoints
 from reconstruction.exporting import read_sections_json, read_step, read_surface_json
 from reconstruction.fit_pipeline import FittedReconstruction
 from reconstruction.nurbs.surface_evaluation import evaluate_surface_at
@@ -121,6 +121,18 @@ def test_its_files_hold_a_solid_every_contour_and_the_standard_deviation(
     assert "Standard deviation of the surface" in (folder / "report.html").read_text()
 
 
+def test_programs_that_read_no_step_get_an_iges_file_when_asked_for(
+    made: Result, tmp_path: Path
+) -> None:
+    folder = made.save(tmp_path / "out", formats=["iges"])
+    text = (folder / "surface.igs").read_text(encoding="ascii")
+    kinds = [line.split()[0] for line in text.splitlines()[:-1] if line[72] == "D"]
+    assert kinds.count("144") == 2 * 3  # trimmed surfaces, two lines each: the wall and two caps
+    assert not (folder / "surface.step").exists()
+    usual = made.save(tmp_path / "usual")
+    assert not (usual / "surface.igs").exists()
+
+
 def test_slices_that_come_one_by_one_give_sections_a_growing_mesh_and_the_same_surface(
     made: Result,
 ) -> None:
@@ -177,6 +189,35 @@ def test_two_slices_are_enough_and_one_is_named_as_too_few() -> None:
     assert result.metrics["watertight"]
     with pytest.raises(NotLoftable, match="1 of 1 slices gave a closed section, two are needed"):
         reconstruct([ring(0)], method="fit")
+
+
+def test_no_slice_at_all_is_said_and_a_point_that_is_no_number_is_named_with_its_slice() -> None:
+    with pytest.raises(TooFewPoints, match="no slice in it yet"):
+        reconstruct([], method="fit")
+    slices = stack()
+    points = np.array(slices[5].points_mm)
+    points[7, 1] = np.nan
+    slices[5] = Slice(5, points, slices[5].frame)
+    with pytest.raises(ValueError, match=r"^slice 5: points must be finite: set NaN"):
+        reconstruct(slices, method="fit")
+
+
+@pytest.mark.parametrize("noise_mm", [0.0, 0.01, SIGMA_MM])
+def test_a_slice_that_crosses_itself_is_named_and_does_not_pull_the_surface(
+    noise_mm: float,
+) -> None:
+    rng = np.random.default_rng(6)
+    angle = rng.permutation(np.arange(500)) * math.tau / 500
+    places = np.column_stack([20 * np.sin(angle) + BESIDE_MM, 14 * np.sin(2 * angle)])
+    places += rng.normal(0.0, noise_mm, places.shape)
+    points = np.column_stack([places, np.full(500, 6 * STEP_MM)])
+    slices = stack()
+    slices[6] = Slice(6, points, slices[6].frame)
+    result = reconstruct(slices, method="fit")
+    assert result.metrics["watertight"]
+    assert any(each.startswith("slice 6: ") for each in result.warnings)
+    walls = result.mesh.vertices_mm[np.abs(result.mesh.vertices_mm[:, 2] - 12.0) < 1.0]
+    assert np.abs(off_mm(walls)).max() < 6 * SIGMA_MM
 
 
 def test_slices_in_another_order_are_refused_with_the_two_that_are_out_of_it() -> None:

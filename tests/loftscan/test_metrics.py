@@ -66,7 +66,7 @@ def test_the_explained_unit_is_that_of_the_name(numbers: dict) -> None:
         if ending in endings:
             assert unit == endings[ending], name
         else:
-            assert unit in {"count", "counts", "fraction", "text", "truth", "s"}, name
+            assert unit in {"count", "counts", "fraction", "text", "truth", "s", "list"}, name
 
 
 def test_every_reason_and_every_stage_is_explained(numbers: dict) -> None:

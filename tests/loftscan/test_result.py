@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from loftscan import result as results
-from loftscan.result import FORMATS, OutputExists, Result, appearing_whole, choose_formats
+from loftscan.result import USUAL_FORMATS, OutputExists, Result, appearing_whole, choose_formats
 from reconstruction.errors import MissingExtra
 from tests.system.command_cases import contents
 
@@ -52,7 +52,8 @@ def test_the_sections_of_the_folder_are_those_of_the_result(
 
 
 def test_formats_are_chosen_once_each_in_the_order_asked() -> None:
-    assert choose_formats(None) == FORMATS
+    assert choose_formats(None) == USUAL_FORMATS
+    assert choose_formats(["iges"]) == ("iges",)
     assert choose_formats(["ply", " STL ", "ply", ""]) == ("ply", "stl")
     with pytest.raises(ValueError, match=r"^--formats 'obj': one of step, 3dm, stl, ply, glb"):
         choose_formats(["stl", "obj"])
@@ -65,7 +66,7 @@ def test_a_format_without_its_library_is_left_out_or_refused(
     monkeypatch: pytest.MonkeyPatch, form: str, library: str
 ) -> None:
     monkeypatch.setitem(sys.modules, library, None)
-    assert choose_formats(None) == tuple(each for each in FORMATS if each != form)
+    assert choose_formats(None) == tuple(each for each in USUAL_FORMATS if each != form)
     with pytest.raises(MissingExtra, match=rf"{library}: pip install 'loftscan\[cad\]'"):
         choose_formats([form])
 

@@ -231,10 +231,11 @@ def test_spans_are_halved_without_changing_the_surface(name: str, along: tuple[b
     assert fine.apex.sum() == net.apex.sum()
 
 
-@pytest.mark.parametrize("closed", [False, True])
-def test_cubics_on_integer_knots_are_those_of_any_knots(closed: bool) -> None:
-    for spans in (6, 13):
-        knots = knots_of(spans, closed=closed)
+@pytest.mark.parametrize("spans", [6, 13])
+@pytest.mark.parametrize("creases", [[], [2, 5]])
+def test_cubics_on_integer_knots_are_those_of_any_knots(spans: int, creases: list[int]) -> None:
+    for closed in (False, True):
+        knots = knots_of(spans, closed=closed, creases=np.array(creases, dtype=np.int64))
         t = np.append(np.random.default_rng(9).uniform(0.0, spans, 200), np.arange(spans + 1.0))
         found = basis_at(t, knots, 2, closed=closed)
         first, values = basis_derivatives(t, 3, knots, 2, periodic=closed)

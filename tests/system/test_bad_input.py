@@ -178,7 +178,10 @@ def test_a_plausible_size_is_no_warning(place: Path, cloud: str, without_picture
             "--resolution-mm: means nothing to --method fit; leave it out",
         ),
         (["--unit", "km"], "--unit 'km': one of mm, cm, m, um, inch expected"),
-        (["--formats", "stl,iges"], "--formats 'iges': one of step, 3dm, stl, ply, glb expected"),
+        (
+            ["--formats", "stl,obj"],
+            "--formats 'obj': one of step, 3dm, stl, ply, glb, iges expected",
+        ),
         (["--crop", "1,2,3"], "--crop '1,2,3': six numbers xmin,xmax,ymin,ymax,zmin,zmax"),
         (["--crop", "a,1,,,,"], "--crop 'a,1,,,,': "),
         (["--crop", "2,1,,,,"], "--crop '2,1,,,,': every minimum must be below its maximum"),
