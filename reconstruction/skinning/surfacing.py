@@ -93,7 +93,12 @@ def skin_slices(
     parts = [closed_mesh(skin, chord) for skin, chord in zip(skins, chords, strict=True)]
     holes = [skin.branch.hole for skin in skins]
     axis = stack[0].frame.axes[2]
-    mesh = join_solids(parts, holes, within_mm=_SLIVER * min(chords), normal=axis)
+    # One part is closed already, and has none of the slivers that unions leave.
+    mesh = (
+        parts[0]
+        if len(parts) == 1 and not holes[0]
+        else join_solids(parts, holes, within_mm=_SLIVER * min(chords), normal=axis)
+    )
     return Skinned(branching, skins, mesh, within)
 
 
