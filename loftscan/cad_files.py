@@ -16,12 +16,15 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
+import numpy as np
+
 from reconstruction.errors import ReconstructionError
+from reconstruction.meshing import Mesh
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from reconstruction.exporting import Body
+    from reconstruction.exporting import Body, Solidity
     from reconstruction.nurbs import Surface
 
 _WRITERS = ("step", "3dm")
@@ -35,6 +38,11 @@ class SolidOrder:
     holes: tuple[bool, ...]  # material lies outside
     closings: tuple[str, ...]  # values of `exporting.Closing`
     volume_mm3: float  # that the part's mesh holds
+
+
+SPARE_MESH = (
+    ".spare.npz"  # in the folder until the child has read it: facets, should they be needed
+)
 
 
 class CadWriter:
@@ -73,16 +81,25 @@ class CadWriter:
             with self._child:  # closes its pipes and waits for its end
                 pass
 
-    def write(self, folder: Path, *, name: str, solid: SolidOrder | None = None) -> None:
+    def write(
+        self, folder: Path, *, name: str, solid: SolidOrder | None = None, mesh: Mesh | None = None
+    ) -> None:
         """Let the child write into a folder that holds surface.json and sections.json.
 
         Parameters
         ----------
         solid
             How the patches enclose the part; without it they are patches and no more.
+        mesh
+            The part's closed mesh: a solid's facets, where its patches make none.
         """
         if self._child is None or self._child.stdin is None:
             return
+        if mesh is not None and "step" in self._formats:
+            np.savez(
+                folder / SPARE_MESH,
+                vertices_mm=mesh.vertices_mm, faces=mesh.faces, synthetic=mesh.synthetic,
+            )  # fmt: skip
         said = None if solid is None else asdict(solid)
         order = json.dumps({"folder": str(folder), "name": name, "solid": said})
         try:
@@ -92,7 +109,7 @@ class CadWriter:
             pass  # it died: `finish` says of what
 
     def finish(self) -> tuple[str, ...]:
-        """Wait for the files; say why a part is no solid in them, if it is none.
+        """Wait for the files; say what is not as it should be: why surfaces make no solid.
 
         Raises
         ------
@@ -144,11 +161,12 @@ def write_files(
     bodies = () if solid is None else _bodies(surfaces, solid)
     reasons: tuple[str, ...] = ()
     step = folder / "surface.step"
-    if "step" in formats and solid is not None and bodies:
+    mesh = _spare_mesh(folder / SPARE_MESH)
+    if "step" in formats and solid is not None and (bodies or mesh is not None):
         found = write_step_solid(
-            step, bodies, name=name, provenance=provenance, volume_mm3=solid.volume_mm3
+            step, bodies, name=name, provenance=provenance, volume_mm3=solid.volume_mm3, mesh=mesh
         )
-        reasons = found.reasons
+        reasons = _said(found)
     elif "step" in formats and surfaces:  # without a patch there is nothing that STEP could hold
         write_step(step, surfaces, name=name, provenance=provenance)
     if "3dm" in formats:
@@ -158,6 +176,28 @@ def write_files(
             provenance=provenance,
         )  # fmt: skip
     return reasons
+
+
+def _said(found: Solidity) -> tuple[str, ...]:
+    """What a person should know of a solid file."""
+    if not found.reasons:
+        return ()
+    made = (
+        f"a solid of {found.facets} planar facets of the mesh, for its NURBS surfaces are none"
+        if found.facets
+        else "open shells, no solid"
+    )
+    return (f"surface.step holds {made}: {'; '.join(found.reasons)}",)
+
+
+def _spare_mesh(path: Path) -> Mesh | None:
+    """Read the mesh that was left for us, and take it away."""
+    if not path.exists():
+        return None
+    with np.load(path) as kept:
+        mesh = Mesh(kept["vertices_mm"], kept["faces"], kept["synthetic"])
+    path.unlink()
+    return mesh
 
 
 def _bodies(surfaces: Sequence[Surface], solid: SolidOrder) -> tuple[Body, ...]:

@@ -133,11 +133,13 @@ class Result:
     ) -> None:
         from loftscan.reporting import write_result_report
 
-        cad.write(folder, name=self.name, solid=_solid_of(self.reconstruction))
+        solid = _solid_of(self.reconstruction)
+        spare = None if solid is None else self.mesh
+        cad.write(folder, name=self.name, solid=solid, mesh=spare)
         self._write_meshes(folder, formats)
         write_result_report(folder / "report.html", self)
-        for reason in cad.finish():
-            remark(f"surface.step holds open shells, no solid: {reason}")
+        for words in cad.finish():
+            remark(words)
 
     def _write_json_files(self, folder: Path) -> None:
         name, said = self.name, self.provenance
