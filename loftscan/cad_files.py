@@ -183,7 +183,7 @@ def _said(found: Solidity) -> tuple[str, ...]:
     if not found.reasons:
         return ()
     made = (
-        f"a solid of {found.facets} planar facets of the mesh, for its NURBS surfaces are none"
+        f"a solid of {found.facets} planar facets of the mesh, none of NURBS surfaces"
         if found.facets
         else "open shells, no solid"
     )

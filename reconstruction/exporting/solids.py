@@ -152,7 +152,7 @@ def _joined(bodies: Sequence[Body], within_mm: float) -> _Region:
         if operands:
             whole = _combined(whole, operands, hole=hole)
     if whole is None:
-        raise _NoSolid("no body")
+        raise _NoSolid("no surface follows the part, only its mesh does")
     return whole
 
 
