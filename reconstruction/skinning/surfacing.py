@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from reconstruction.meshing import Mesh
+from reconstruction.skinning.beyond import seen_beyond
 from reconstruction.skinning.branching import Branching, find_branches
 from reconstruction.skinning.closing import closed_mesh
 from reconstruction.skinning.drawing import SliceOutlines
@@ -63,7 +64,8 @@ def skin_slices(slices: Sequence[SliceOutlines], *, tolerance_mm: float | None =
     indices = [each.index for each in stack]
     branching = find_branches(outlines, heights, indices=indices, unresolved=unresolved)
     loose = _loose(stack, branching, thick.values())
-    skins = tuple(skin_branch(branch, loose) for branch in fold(branching.branches))
+    branches = [seen_beyond(branch, stack) for branch in fold(branching.branches)]
+    skins = tuple(skin_branch(branch, loose) for branch in branches)
     within = tolerance_mm or _chord(skins)
     parts = [closed_mesh(skin, within) for skin in skins]
     holes = [skin.branch.hole for skin in skins]
