@@ -20,6 +20,7 @@ import numpy as np
 from reconstruction.arrays import FloatArray
 from reconstruction.skinning.branch import Branch, End, Ending
 from reconstruction.skinning.drawing import SliceOutlines
+from reconstruction.skinning.ends import Apex, brim_or_apex
 from reconstruction.skinning.outlines import Outline
 
 _FEWEST = 8  # points
@@ -28,16 +29,19 @@ _PLACES = 128
 
 
 def seen_beyond(branch: Branch, stack: Sequence[SliceOutlines]) -> Branch:
-    """Let the closed ends of a branch lie where slices, low to high, hold nothing of it."""
-    if branch.ends is None or len(branch.outlines) < 2:
+    """Let the closed ends of a branch lie where slices, low to high, hold nothing of it.
+
+    Only where its outlines, as they shrink, run out in a point on the way there: a ridge, or two
+    walls too near to be told apart, is a heap as well, and says nothing of where it ends.
+    """
+    if branch.ends is None or branch.hole or len(branch.outlines) < 2:
         return branch
-    low, high = branch.ends
-    first, last = branch.outlines[0], branch.outlines[-1]
-    ends = (
-        _end(low, first, branch.outlines[1], stack),
-        _end(high, last, branch.outlines[-2], stack),
-    )
-    return replace(branch, ends=ends)
+    outlines, ends = branch.outlines, list(branch.ends)
+    for last, (edge, inner) in enumerate(((0, 1), (-1, -2))):
+        farther = _end(ends[last], outlines[edge], outlines[inner], stack)
+        if isinstance(brim_or_apex(outlines, farther, last=bool(last)), Apex):
+            ends[last] = farther
+    return replace(branch, ends=(ends[0], ends[1]))
 
 
 def _end(end: End, edge: Outline, inner: Outline, stack: Sequence[SliceOutlines]) -> End:

@@ -17,7 +17,6 @@ from reconstruction.fitting.section import SectionFit, resolve_section
 from reconstruction.skinning.outlines import Outline, outline_of
 from reconstruction.slices import Frame, Slice
 
-
 _MOST_GRAINS = 1_500  # points kept one by one; of more, those nearer than their noise are one
 
 

@@ -95,9 +95,7 @@ def brim_or_apex(outlines: Sequence[Outline], end: End, *, last: bool) -> Brim |
     apex = _apex(near, reach)
     if apex is not None:
         return apex
-    # Half-way to the slice that holds nothing, past those with points but without a contour.
-    rest = reach - 0.5 * step if abs(reach) > abs(step) else 0.5 * reach
-    return Brim(edge.height_mm + rest, axis)
+    return Brim(edge.height_mm + 0.5 * min(reach, step, key=abs), axis)
 
 
 def _apex(near: list[Outline], reach: float) -> Apex | None:

@@ -19,9 +19,12 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.fft
 from numba import njit
+from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, label, map_coordinates
 
 from reconstruction.arrays import FloatArray
+
+Spectrum = NDArray[np.complex128]
 
 _MARGIN = 0.1  # of the size, around
 _FINEST = 180  # cells along the longest side at most
@@ -55,7 +58,7 @@ def field_of(points_mm: FloatArray, counts: FloatArray, grain_mm: float) -> Fiel
     grid = _Grid(points_mm, grain_mm)
     areas = _areas(grid, points_mm, counts, _DENSITY * grain_mm)
     outward = _flooded(points_mm, grain_mm)
-    spectrum = np.empty(0)
+    spectrum = np.empty(0, dtype=np.complex128)
     for smeared in _SMEARED:
         width = max(smeared * grain_mm, _LEAST_SMEARED * grid.step_mm)
         spectrum = grid.integrated(points_mm, -outward * areas[:, None], width)
@@ -78,7 +81,9 @@ class _Grid:
         self.shape = tuple(int(scipy.fft.next_fast_len(int(n), real=True)) for n in counts)
         full = [np.fft.fftfreq(n, self.step_mm) for n in self.shape[:2]]
         waves = [*full, np.fft.rfftfreq(self.shape[2], self.step_mm)]
-        self._waves = np.meshgrid(*(2.0 * np.pi * each for each in waves), indexing="ij", sparse=True)
+        self._waves = np.meshgrid(
+            *(2.0 * np.pi * each for each in waves), indexing="ij", sparse=True
+        )
         self._squares = sum(each**2 for each in self._waves)
 
     def smearing(self, width_mm: float) -> FloatArray:
@@ -96,7 +101,7 @@ class _Grid:
         places = ((points_mm - self.low_mm) / self.step_mm).T
         return np.asarray(map_coordinates(values, places, order=1, mode="nearest"))
 
-    def integrated(self, points_mm: FloatArray, vectors: FloatArray, width_mm: float) -> FloatArray:
+    def integrated(self, points_mm: FloatArray, vectors: FloatArray, width_mm: float) -> Spectrum:
         """The spectrum of the field whose gradient is nearest to vectors smeared about points."""
         total = np.zeros(self._squares.shape, dtype=np.complex128)
         for wave, column in zip(self._waves, vectors.T, strict=True):
@@ -105,19 +110,17 @@ class _Grid:
         total[0, 0, 0] = 0.0
         return total
 
-    def back(self, spectrum: FloatArray) -> FloatArray:
+    def back(self, spectrum: Spectrum) -> FloatArray:
         """From waves to nodes."""
         return np.asarray(scipy.fft.irfftn(spectrum, self.shape))
 
-    def gradient_at(self, spectrum: FloatArray, points_mm: FloatArray) -> FloatArray:
+    def gradient_at(self, spectrum: Spectrum, points_mm: FloatArray) -> FloatArray:
         """(n, 3)."""
         sides = [self.at(self.back(1j * wave * spectrum), points_mm) for wave in self._waves]
         return np.stack(sides, axis=1)
 
 
-def _areas(
-    grid: _Grid, points_mm: FloatArray, counts: FloatArray, width_mm: float
-) -> FloatArray:
+def _areas(grid: _Grid, points_mm: FloatArray, counts: FloatArray, width_mm: float) -> FloatArray:
     """The surface that each point stands for, by how dense the points are around it."""
     spectrum = scipy.fft.rfftn(grid.splat(points_mm, counts)) * grid.smearing(width_mm)
     dense = np.maximum(grid.at(grid.back(spectrum), points_mm), _EMPTY)

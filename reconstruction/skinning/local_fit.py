@@ -20,6 +20,7 @@ _WIDER = 1.25
 _FIRST = 1.5  # grains
 _AGREES = 1.0  # standard deviations
 _ALIKE = 6  # rounds in which windows of neighbours are made alike
+_STRIDE = 0.5  # grains: farther, a window would hold another wall
 _FEWEST = 12.0  # points in a window
 _SAME_SIDE = 0.3  # cosine: points that look elsewhere are of another wall
 _LEVEL = 0.05  # of the variance in the plane: what is left of it on a level wall
@@ -73,7 +74,9 @@ def moved(
         How far off the mesh may be: where points tell less than that, it stays.
     """
     normals = vertex_normals(vertices_mm, faces)
-    windows = _FIRST * grain_mm * _WIDER ** np.arange(_WINDOWS)
+    windows = np.float64(_FIRST * grain_mm) * np.power(
+        _WIDER, np.arange(_WINDOWS, dtype=np.float64)
+    )
     each = np.empty((len(vertices_mm), 0))
     found = _estimated(vertices_mm, normals, *_columns(cloud), windows, each)
     own = _alike(windows[_agreeing(*found)], faces)
@@ -81,7 +84,7 @@ def moved(
     spread = np.minimum(sigma[:, 0], 1e6 * doubt_mm)
     step = np.where(np.isfinite(sigma[:, 0]), away[:, 0], 0.0)
     step *= doubt_mm**2 / (doubt_mm**2 + spread**2)
-    step = np.clip(step, -4.0 * doubt_mm, 4.0 * doubt_mm)
+    step = np.clip(step, -_STRIDE * grain_mm, _STRIDE * grain_mm)
     return vertices_mm + step[:, None] * normals, sigma[:, 0]
 
 
@@ -210,7 +213,10 @@ def _estimated(
 def _across(n: FloatArray) -> FloatArray:
     """A unit vector perpendicular to one."""
     t = np.array([0.0, n[2], -n[1]]) if abs(n[0]) < 0.6 else np.array([-n[2], 0.0, n[0]])
-    return t / max(np.sqrt(t[0] * t[0] + t[1] * t[1] + t[2] * t[2]), 1e-300)
+    length = np.sqrt(t[0] * t[0] + t[1] * t[1] + t[2] * t[2])
+    for d in range(3):
+        t[d] /= max(length, 1e-300)
+    return t
 
 
 @njit(cache=True)

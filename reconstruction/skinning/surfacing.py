@@ -29,7 +29,7 @@ _SLIVER = 0.05  # of the chord
 _FAR_SHARE = 0.02  # of the points: more of them off the branches' surfaces are no outliers
 _BETTER = 0.5  # of that share at most is left by a mesh that takes their place
 _AS_GOOD = 0.002
-_APART = 0.02  # of the area: on less, two surfaces through the same points differ anyhow
+_APART = 0.015  # of the area: on less, two surfaces through the same points differ anyhow
 _NEAR_END = 4  # outlines
 _JUMP = 5.0  # times the usual way from outline to outline
 _JUMPING = 0.02  # of an outline
@@ -79,7 +79,8 @@ def _wrapped_if_better(skinned: Skinned, stack: Sequence[SliceOutlines]) -> Skin
     swarm = swarm_of(stack)
     far = share_far(skinned.mesh, swarm)
     jumps = sorted(index for skin in skinned.skins for index in _jumps(skin))
-    if far <= _FAR_SHARE and not jumps:
+    joints = skinned.branching.joints
+    if far <= _FAR_SHARE and not jumps and not joints:
         return skinned
     mesh = wrapped(swarm)
     if mesh is None:
@@ -88,10 +89,11 @@ def _wrapped_if_better(skinned: Skinned, stack: Sequence[SliceOutlines]) -> Skin
     why = ""
     if far > _FAR_SHARE and left <= _BETTER * far:
         why = f"{far:.1%} of the points lie farther from them than their noise explains"
-    elif jumps and left <= far + _AS_GOOD:
-        apart = share_apart(skinned.mesh, mesh, swarm)
-        if apart > _APART:
+    elif left <= far + _AS_GOOD and share_apart(skinned.mesh, mesh, swarm) > _APART:
+        if jumps:
             why = f"above slice {jumps[0]} a contour changes at once, where they cannot follow"
+        else:
+            why = f"where branches meet, as at {joints[0].height_mm:.4g} mm, they part from them"
     if not why:
         return skinned
     words = f"the branches' NURBS surfaces do not follow the points: {why}"

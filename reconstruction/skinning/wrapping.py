@@ -23,8 +23,8 @@ from reconstruction.skinning.local_fit import cloud_of, moved
 
 _EDGE = 1.2  # grid steps: of the mesh
 _LEAST_PART = 0.01  # of the volume: a smaller one is a heap of stray points
-_SPACING = 1.5  # times the mean distance of points on the surface is a grain, ...
-_NOISE = 2.5  # ... or so many standard deviations, or the distance of slices
+_SPACING = 1.2  # times the mean distance of points on the surface is a grain, ...
+_NOISE = 2.2  # ... or so many standard deviations, or the distance of slices
 _ROUNDS = 2
 _DOUBT = 0.12  # of a grain: how far off the level surface may be
 _UNSEEN = 2.5  # grains: farther from all points a vertex stands on none
@@ -58,8 +58,25 @@ def wrapped(swarm: Swarm) -> Mesh | None:
     vertices = mesh.vertices_mm
     for _ in range(_ROUNDS):
         vertices, _ = moved(vertices, mesh.faces, cloud, grain_mm=grain, doubt_mm=_DOUBT * grain)
-    away, _ = cKDTree(points).query(vertices)
-    return Mesh(vertices, mesh.faces, np.asarray(away > _UNSEEN * grain))
+    mesh = _between_planes(Mesh(vertices, mesh.faces, mesh.synthetic), swarm)
+    away, _ = cKDTree(points).query(mesh.vertices_mm)
+    return Mesh(mesh.vertices_mm, mesh.faces, np.asarray(away > _UNSEEN * grain))
+
+
+def _between_planes(mesh: Mesh, swarm: Swarm) -> Mesh:
+    """Cut off what lies more than half a slice's distance beyond the outermost slices.
+
+    No slice has seen it; over a flat end, which slices never sample, the field bulges.
+    """
+    heights = swarm.points_mm @ swarm.axis
+    body = manifold3d.Manifold(
+        manifold3d.Mesh64(np.array(mesh.vertices_mm), mesh.faces.astype(np.uint64))
+    )
+    low, high = float(heights.min()), float(heights.max())
+    margin = 0.5 * swarm.pitch_mm
+    body = body.trim_by_plane(swarm.axis.tolist(), low - margin)
+    body = body.trim_by_plane((-swarm.axis).tolist(), -(high + margin))
+    return mesh if body.is_empty() else _mesh_of(body)
 
 
 def share_far(mesh: Mesh, swarm: Swarm) -> float:
@@ -75,8 +92,8 @@ def share_apart(one: Mesh, other: Mesh, swarm: Swarm) -> float:
     (here, spacing), (there, wider) = _sampled(one), _sampled(other)
     reach = max(_FAR * swarm.sigma_mm, _APART * grain_mm(swarm), 2.0 * spacing, 2.0 * wider)
     ways = ((here, there), (there, here))
-    shares = [(cKDTree(b).query(a[:_FEWER])[0] > reach).mean() for a, b in ways]
-    return float(max(shares))
+    shares = [float(np.mean(cKDTree(b).query(a[:_FEWER])[0] > reach)) for a, b in ways]
+    return max(shares)
 
 
 def _sampled(mesh: Mesh) -> tuple[FloatArray, float]:
@@ -95,7 +112,8 @@ def grain_mm(swarm: Swarm) -> float:
     """What is smaller than that, points do not tell."""
     points = swarm.points_mm
     # Of points on a surface, the tenth nearest lies at sqrt(10 / (pi density)).
-    tenth = cKDTree(points).query(points[:: max(len(points) // 5000, 1)], k=11)[0][:, 10]
+    some = points[:: max(len(points) // 5000, 1)]
+    tenth = np.asarray(cKDTree(points).query(some, k=[11])[0])
     spacing = float(np.median(tenth)) * math.sqrt(math.pi / 10.0)
     return max(swarm.pitch_mm, _SPACING * spacing, _NOISE * swarm.sigma_mm)
 
@@ -114,10 +132,16 @@ def _level_mesh(field: Field) -> Mesh | None:
     parts = [each for each in body.decompose() if abs(each.volume()) > _LEAST_PART * whole]
     if not parts or not whole > 0.0:
         return None
-    made = manifold3d.Manifold.compose(parts).to_mesh64()
-    vertices = np.asarray(made.vert_properties)[:, :3]
-    faces = np.asarray(made.tri_verts).astype(np.int64)
-    return Mesh(vertices, faces, np.zeros(len(vertices), dtype=np.bool_))
+    return _mesh_of(manifold3d.Manifold.compose(parts))
+
+
+def _mesh_of(body: manifold3d.Manifold) -> Mesh:
+    made = body.to_mesh64()
+    target = np.arange(len(made.vert_properties))
+    target[np.asarray(made.merge_from_vert, dtype=np.int64)] = made.merge_to_vert
+    used, faces = np.unique(target[np.asarray(made.tri_verts, dtype=np.int64)], return_inverse=True)
+    vertices = np.asarray(made.vert_properties)[used, :3]
+    return Mesh(vertices, faces.reshape(-1, 3), np.zeros(len(vertices), dtype=np.bool_))
 
 
 @njit(cache=True)
