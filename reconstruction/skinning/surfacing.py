@@ -89,7 +89,7 @@ def _wrapped_if_better(skinned: Skinned, stack: Sequence[SliceOutlines]) -> Skin
     why = ""
     if far > _FAR_SHARE and left <= _BETTER * far:
         why = f"{far:.1%} of the points lie farther from them than their noise explains"
-    elif left <= far + _AS_GOOD and share_apart(skinned.mesh, mesh, swarm) > _APART:
+    elif (jumps or joints) and _parted(skinned, mesh, swarm, left - far):
         if jumps:
             why = f"above slice {jumps[0]} a contour changes at once, where they cannot follow"
         else:
@@ -99,6 +99,11 @@ def _wrapped_if_better(skinned: Skinned, stack: Sequence[SliceOutlines]) -> Skin
     words = f"the branches' NURBS surfaces do not follow the points: {why}"
     instead = f"one mesh around all points, {left:.1%} of which it misses, is the part instead"
     return replace(skinned, mesh=mesh, wrapping=f"{words}; {instead}")
+
+
+def _parted(skinned: Skinned, mesh: Mesh, swarm: Swarm, worse: float) -> bool:
+    """Whether a wrapped mesh is about as near to the points, and yet another surface."""
+    return worse <= _AS_GOOD and share_apart(skinned.mesh, mesh, swarm) > _APART
 
 
 def _jumps(skin: Skin) -> list[int]:
