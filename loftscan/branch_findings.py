@@ -15,7 +15,7 @@ _MOST = 8  # doubts that are said one by one
 
 def judge_branches(done: FittedReconstruction) -> list[str | None]:
     """Say what is doubtful about contours, branches, and how the part ends."""
-    return [*_shortened(tell_doubts(done)), _runs(done), _ends(done)]
+    return [done.skinned.wrapping or None, *_shortened(tell_doubts(done)), _runs(done), _ends(done)]
 
 
 def tell_doubts(done: FittedReconstruction) -> list[str]:
@@ -49,6 +49,8 @@ def _runs(done: FittedReconstruction) -> str | None:
 
 def _ends(done: FittedReconstruction) -> str | None:
     """Ends that no slice has seen are closed, and stand on nothing."""
+    if done.skinned.wrapping:
+        return None
     counts = Counter(kind for skin in done.skinned.skins for kind in _kinds(skin))
     if not counts:
         return None

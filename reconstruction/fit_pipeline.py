@@ -42,7 +42,9 @@ class FittedReconstruction:
 
     @property
     def patches(self) -> tuple[Surface, ...]:
-        """One surface a branch, from the outside in."""
+        """One surface a branch, from the outside in; none where the mesh is not theirs."""
+        if self.skinned.wrapping:
+            return ()
         return tuple(skin.surface for skin in self.skinned.skins)
 
     @property
@@ -63,6 +65,8 @@ class FittedReconstruction:
     @property
     def cap_heights_mm(self) -> FloatArray:
         """Heights along the stacking normal at which flat caps close the part."""
+        if self.skinned.wrapping:
+            return np.empty(0)
         brims = [brim for skin in self.skinned.skins for brim in skin.brims or ()]
         return np.array([brim.height_mm for brim in brims if isinstance(brim, Brim)])
 

@@ -83,6 +83,23 @@ class Skin:
         normals = unit_normals(first_u, first_v)
         return np.sqrt(variances_across(self.fit.inverse, net, self.fit.unknowns, at, normals))
 
+    @property
+    def apex_deviations_mm(self) -> tuple[float, float]:
+        """Posterior standard deviation of an apex's height, of either end; nan without one."""
+        net, axis = self.fit.net, self.branch.outlines[0].frame.axes[2]
+        found = [math.nan, math.nan]
+        for last in (0, 1):
+            if not net.apex[-last]:
+                continue
+            at = (
+                basis_at(np.zeros(1), net.knots_u, 0, closed=net.closed_u),
+                basis_at(np.full(1, last * net.spans[1]), net.knots_v, 0, closed=net.closed_v),
+            )
+            fit = self.fit
+            variance = variances_across(fit.inverse, net, fit.unknowns, at, axis[None])
+            found[last] = float(np.sqrt(variance[0]))
+        return found[0], found[1]
+
     def synthetic(self, u: FloatArray, v: FloatArray) -> BoolArray:
         """Whether no measured point stands near parameters of any shape."""
         counts = self.support
