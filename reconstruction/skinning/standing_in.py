@@ -73,6 +73,7 @@ def swarm_of(stack: Sequence[SliceOutlines]) -> Swarm:
     return Swarm(
         np.concatenate([piece.grains.points_mm for piece in stack]),
         np.concatenate([piece.grains.counts for piece in stack]),
+        np.repeat(np.arange(len(stack)), [len(piece.grains.counts) for piece in stack]),
         float(np.median(sigmas)),
         float(np.median(np.diff(heights))),
         stack[0].frame.axes[2],

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.meshing import Mesh
 from reconstruction.skinning.field import Field, field_of
 from reconstruction.skinning.local_fit import cloud_of, moved
@@ -39,6 +39,7 @@ class Swarm:
 
     points_mm: FloatArray  # (n, 3)
     counts: FloatArray  # (n,)
+    levels: IntArray  # (n,), each one's slice, from low to high
     sigma_mm: float  # in the cutting planes
     pitch_mm: float  # of the slices
     axis: FloatArray  # (3,), perpendicular to them
@@ -80,11 +81,19 @@ def _between_planes(mesh: Mesh, swarm: Swarm) -> Mesh:
 
 
 def share_far(mesh: Mesh, swarm: Swarm) -> float:
-    """The share of points that lie farther from a mesh than their noise explains."""
+    """The share of points that lie farther from a mesh than their noise explains.
+
+    A slice counts no more than the one beside it that is farther off: if it is alone with what it
+    says, it is itself in doubt, and named elsewhere.
+    """
     places, spacing = _sampled(mesh)
     away, _ = cKDTree(places).query(swarm.points_mm)
     far = away > math.hypot(_FAR * swarm.sigma_mm, 2.0 * spacing)
-    return float(np.average(far, weights=swarm.counts))
+    points = np.bincount(swarm.levels, swarm.counts)
+    shares = np.bincount(swarm.levels, swarm.counts * far) / np.maximum(points, 1.0)
+    beside = np.concatenate([[0.0], shares, [0.0]])
+    told = np.minimum(shares, np.maximum(beside[:-2], beside[2:]))
+    return float(told @ points / points.sum())
 
 
 def share_apart(one: Mesh, other: Mesh, swarm: Swarm) -> float:
