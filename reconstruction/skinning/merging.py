@@ -17,9 +17,9 @@ from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.skinning.net import Net
 from reconstruction.skinning.outlines import Moments
 
-_A_SPAN = 4  # cells, in either direction
+_A_SPAN = 3  # cells, in either direction
 _LEAST = 128  # cells in either direction: over wider ones a bend looks like noise
-_FAR_TOO_MANY = 2.0  # times as many cells: then they are merged
+_FAR_TOO_MANY = 1.5  # times as many cells: then they are merged
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -39,12 +39,12 @@ from reconstruction.skinning.unknowns import Unknowns, unknowns_of
 _ROUNDS = 25
 _ASTRAY = 4.0  # times the first round's scatter: the fit has lost its points
 _RELAID = (2, 4)  # rounds after which v is made to run evenly again
-_LEARNT = (0.25, 1e-3)  # log likelihood, and of it a degree of freedom: less is not worth a round
+_LEARNT = (0.25, 2e-3)  # log likelihood, and of it a degree of freedom: less is not worth a round
 _WIDE_LEARNT = 1e-2  # the same of a net whose spans will be halved
 _RESTING, _STIRRED = 0.05, 4.0  # of a degree of freedom; times what the calmest round has gained
 _STILL = 0.05  # standard deviations: a surface that moves less stands still
 _CALMING = 4  # rounds at most once nothing is learnt
-_LIVELY = 0.5  # of the waves that a net has: data that determine more get narrower spans
+_LIVELY = 0.6  # of the waves that a net has: data that determine more get narrower spans
 _SOFTER, _STIFFER = 9.0, 6.0  # logarithms, to begin with, than what points can just resist
 _BLIND = 0.8  # the same: a net that is so much too wide learns nothing true of the stiffness
 _NEAR = 0.5  # of the liveliness of the other direction
