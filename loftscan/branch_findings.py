@@ -49,9 +49,7 @@ def _runs(done: FittedReconstruction) -> str | None:
 
 def _ends(done: FittedReconstruction) -> str | None:
     """Ends that no slice has seen are closed, and stand on nothing."""
-    if done.skinned.wrapping:
-        return None
-    counts = Counter(kind for skin in done.skinned.skins for kind in _kinds(skin))
+    counts = Counter(kind for skin in done.skinned.shown for kind in _kinds(skin))
     if not counts:
         return None
     words = [f"{many} {kind}" for kind, many in sorted(counts.items())]

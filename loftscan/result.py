@@ -193,7 +193,7 @@ def _solid_of(done: AnyReconstruction) -> SolidOrder | None:
     """How the surfaces of branches enclose the part; the paper's patches enclose nothing."""
     if not isinstance(done, FittedReconstruction):
         return None
-    bodies = () if done.skinned.wrapping else bodies_of(done.skinned.skins)
+    bodies = bodies_of(done.skinned.shown)
     return SolidOrder(
         holes=tuple(body.hole for body in bodies),
         closings=tuple(body.closing.value for body in bodies),

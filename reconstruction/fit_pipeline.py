@@ -24,6 +24,7 @@ from reconstruction.nurbs import Surface
 from reconstruction.sections import Residual, Skipped
 from reconstruction.skinning.drawing import SliceOutlines
 from reconstruction.skinning.ends import Brim
+from reconstruction.skinning.standing_in import Nurbs
 from reconstruction.skinning.surfacing import Skinned, skin_slices
 from reconstruction.slices import Slice
 
@@ -43,9 +44,7 @@ class FittedReconstruction:
     @property
     def patches(self) -> tuple[Surface, ...]:
         """One surface a branch, from the outside in; none where the mesh is not theirs."""
-        if self.skinned.wrapping:
-            return ()
-        return tuple(skin.surface for skin in self.skinned.skins)
+        return tuple(skin.surface for skin in self.skinned.shown)
 
     @property
     def mesh(self) -> Mesh:
@@ -65,17 +64,18 @@ class FittedReconstruction:
     @property
     def cap_heights_mm(self) -> FloatArray:
         """Heights along the stacking normal at which flat caps close the part."""
-        if self.skinned.wrapping:
-            return np.empty(0)
-        brims = [brim for skin in self.skinned.skins for brim in skin.brims or ()]
+        brims = [brim for skin in self.skinned.shown for brim in skin.brims or ()]
         return np.array([brim.height_mm for brim in brims if isinstance(brim, Brim)])
 
 
 class FitCourse:
     """`--method fit`: what a slice leaves is its curves, and the moments of their points."""
 
-    def __init__(self, exact: Exact, cleanup: CleanupSettings) -> None:
+    def __init__(
+        self, exact: Exact, cleanup: CleanupSettings, *, nurbs: Nurbs = Nurbs.AUTO
+    ) -> None:
         self._exact = exact
+        self._nurbs = nurbs
         self._cleanup = cleanup
         self._stack: list[SliceOutlines] = []
         self._sections: list[FittedSection] = []
@@ -96,6 +96,6 @@ class FitCourse:
         closed = [section.index for section in self._sections if section.closed]
         if len(closed) < 2:
             raise too_few("closed section", closed, indices, skipped, remedy)
-        skinned = skin_slices(self._stack, exact=self._exact)
+        skinned = skin_slices(self._stack, exact=self._exact, nurbs=self._nurbs)
         cleaned = clean(skinned.mesh, self._cleanup)
         return FittedReconstruction(tuple(self._sections), tuple(skipped), skinned, cleaned)

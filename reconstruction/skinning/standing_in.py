@@ -8,6 +8,7 @@ them, and there are no NURBS that would be true.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from enum import Enum
 
 import numpy as np
 
@@ -25,6 +26,13 @@ _APART = 0.015  # of the area: on less, two surfaces through the same points dif
 _NEAR_END = 4  # outlines
 _JUMP = 5.0  # times the usual way from outline to outline
 _JUMPING = 0.02  # of an outline
+
+
+class Nurbs(Enum):
+    """Whether the part is always that of its branches' NURBS surfaces."""
+
+    AUTO = "auto"  # a mesh stands in where it follows the points and they do not
+    ALWAYS = "always"
 
 
 def part_of(
@@ -63,7 +71,10 @@ def part_of(
     if not why:
         return mesh, ""
     words = f"the branches' NURBS surfaces do not follow the points: {why}"
-    return other, f"{words}; one mesh around all points, {left:.1%} of which it misses, is the part"
+    return (
+        other,
+        f"{words}; one mesh around all points, {left:.1%} of which it misses, is the part (--nurbs always keeps them)",
+    )
 
 
 def swarm_of(stack: Sequence[SliceOutlines]) -> Swarm:

@@ -32,7 +32,7 @@ from reconstruction.skinning.joining import join_solids
 from reconstruction.skinning.outlines import Moments, Outline, lifted
 from reconstruction.skinning.primitives import Cone, Cylinder
 from reconstruction.skinning.skin import skin_branch
-from reconstruction.skinning.standing_in import part_of
+from reconstruction.skinning.standing_in import Nurbs, part_of
 
 _THICK = 2.0  # times the usual scatter
 _CHORD = 0.05  # of the scatter of the points: what a facet may stand off the surface
@@ -53,9 +53,14 @@ class Skinned:
     wrapping: str = ""  # why the mesh is not that of the skins, but one around all points
 
     @property
+    def shown(self) -> tuple[AnySkin, ...]:
+        """The skins whose surfaces are the part: none where a mesh stands in for them."""
+        return () if self.wrapping else self.skins
+
+    @property
     def shapes(self) -> tuple[Shape | None, ...]:
-        """The exact shape of every branch; None where its surface is a free one."""
-        return tuple(skin.shape for skin in self.skins)
+        """The exact shape of every shown skin; None where its surface is a free one."""
+        return tuple(skin.shape for skin in self.shown)
 
 
 def skin_slices(
@@ -63,6 +68,7 @@ def skin_slices(
     *,
     tolerance_mm: float | None = None,
     exact: Exact = Exact.AUTO,
+    nurbs: Nurbs = Nurbs.AUTO,
 ) -> Skinned:
     """Fit, close and join the surfaces of slices, given in any order.
 
@@ -73,6 +79,8 @@ def skin_slices(
         surface is exact.
     exact
         Whether a branch whose points are one exact shape is given its surface.
+    nurbs
+        Whether a mesh may stand in for surfaces that do not follow the points.
 
     Raises
     ------
@@ -94,7 +102,9 @@ def skin_slices(
     skins = tuple(_skin(branch, loose, levels, stack, exact) for branch in fold(branching.branches))
     chords = [tolerance_mm or _chord(skin, skins) for skin in skins]
     mesh = _united(skins, chords, stack[0].frame.axes[2])
-    mesh, instead = part_of(mesh, skins, branching.joints, stack)
+    instead = ""
+    if nurbs is Nurbs.AUTO:
+        mesh, instead = part_of(mesh, skins, branching.joints, stack)
     return Skinned(branching, skins, mesh, max(chords), instead)
 
 
