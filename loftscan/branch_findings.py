@@ -50,7 +50,9 @@ def _runs(done: FittedReconstruction) -> str | None:
 def _ends(done: FittedReconstruction) -> str | None:
     """Ends that no slice has seen are closed, and stand on nothing."""
     counts = Counter(kind for skin in done.skinned.shown for kind in _kinds(skin))
-    if not counts:
+    if not done.skinned.shown:
+        counts["closed by a flat cap"] = len(done.cap_heights_mm)
+    if not counts.total():
         return None
     words = [f"{many} {kind}" for kind, many in sorted(counts.items())]
     return f"ends of the part that no slice samples: {', '.join(words)}; do not measure on them"

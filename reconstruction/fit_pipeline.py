@@ -28,6 +28,8 @@ from reconstruction.skinning.standing_in import Nurbs
 from reconstruction.skinning.surfacing import Skinned, skin_slices
 from reconstruction.slices import Slice
 
+_LEVEL = 1e-9  # of the height
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedReconstruction:
@@ -64,8 +66,18 @@ class FittedReconstruction:
     @property
     def cap_heights_mm(self) -> FloatArray:
         """Heights along the stacking normal at which flat caps close the part."""
+        if not self.skinned.shown:
+            return self._level_ends_mm()
         brims = [brim for skin in self.skinned.shown for brim in skin.brims or ()]
         return np.array([brim.height_mm for brim in brims if isinstance(brim, Brim)])
+
+    def _level_ends_mm(self) -> FloatArray:
+        """Heights of level faces beyond the outermost slices, of a mesh that stands in."""
+        heights = self.skinned.mesh.vertices_mm @ self.sections[0].frame.axes[2]
+        ends = [heights.min(), heights.max()]
+        corners = heights[self.skinned.mesh.faces]
+        near = _LEVEL * (ends[1] - ends[0])
+        return np.array([end for end in ends if (np.abs(corners - end) < near).all(axis=1).any()])
 
 
 class FitCourse:

@@ -70,10 +70,9 @@ def part_of(
         )
     if not why:
         return mesh, ""
-    words = f"the branches' NURBS surfaces do not follow the points: {why}"
-    return (
-        other,
-        f"{words}; one mesh around all points, {left:.1%} of which it misses, is the part (--nurbs always keeps them)",
+    return other, (
+        f"the branches' NURBS surfaces do not follow the points: {why}; one mesh around all points,"
+        f" {left:.1%} of which it misses, is the part (--nurbs always keeps the surfaces)"
     )
 
 

@@ -18,7 +18,7 @@ from reconstruction.meshing import Mesh
 from reconstruction.skinning.beyond import seen_beyond
 from reconstruction.skinning.branch import Branch
 from reconstruction.skinning.branching import Branching, find_branches
-from reconstruction.skinning.closing import closed_mesh
+from reconstruction.skinning.closing import affordable_mm, closed_mesh
 from reconstruction.skinning.drawing import SliceOutlines
 from reconstruction.skinning.exact_ends import Levels
 from reconstruction.skinning.exact_shapes import Shape
@@ -100,7 +100,7 @@ def skin_slices(
     heaps = [doubt and not held for doubt, held in zip(unresolved, outlines, strict=True)]
     levels = Levels(heights, np.array(heaps))
     skins = tuple(_skin(branch, loose, levels, stack, exact) for branch in fold(branching.branches))
-    chords = [tolerance_mm or _chord(skin, skins) for skin in skins]
+    chords = [tolerance_mm or affordable_mm(skin, _chord(skin, skins)) for skin in skins]
     mesh = _united(skins, chords, stack[0].frame.axes[2])
     instead = ""
     if nurbs is Nurbs.AUTO:
