@@ -3,7 +3,7 @@
 Used where branches do not follow the points: contours that run into each other, walls seen from one
 side only, features that come and go within a slice or two.
 
-points -> inside and outside (`field`) -> level surface -> moved onto the points (`local_fit`)
+points -> inside and outside (`field`) -> level surface -> laid through the points (`draping`)
 """
 
 from __future__ import annotations
@@ -19,15 +19,13 @@ from scipy.spatial import cKDTree
 from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.manifolds import manifold_of, mesh_of
 from reconstruction.meshing import Mesh
+from reconstruction.skinning.draping import Cloud, draped
 from reconstruction.skinning.field import Field, field_of
-from reconstruction.skinning.local_fit import cloud_of, moved
 
 _EDGE = 1.2  # grid steps: of the mesh
 _LEAST_PART = 0.01  # of the volume: a smaller one is a heap of stray points
 _SPACING = 1.2  # times the mean distance of points on the surface is a grain, ...
 _NOISE = 2.2  # ... or so many standard deviations, or the distance of slices
-_ROUNDS = 2
-_DOUBT = 0.12  # of a grain: how far off the level surface may be
 _UNSEEN = 2.5  # grains: farther from all points a vertex stands on none
 _SAMPLES, _FEWER = 300_000, 50_000
 _APART = 0.75  # grains
@@ -54,12 +52,8 @@ def wrapped(swarm: Swarm) -> Mesh | None:
     mesh = _level_mesh(field)
     if mesh is None:
         return None
-    cloud = cloud_of(
-        points, field.outward, counts, sigma_mm=swarm.sigma_mm, axis=swarm.axis, box_mm=grain
-    )
-    vertices = mesh.vertices_mm
-    for _ in range(_ROUNDS):
-        vertices, _ = moved(vertices, mesh.faces, cloud, grain_mm=grain, doubt_mm=_DOUBT * grain)
+    cloud = Cloud(points, field.outward, counts, swarm.sigma_mm, swarm.axis)
+    vertices = draped(mesh.vertices_mm, mesh.faces, cloud, grain_mm=grain)
     mesh = _between_planes(Mesh(vertices, mesh.faces, mesh.synthetic), swarm)
     away, _ = cKDTree(points).query(mesh.vertices_mm)
     return Mesh(mesh.vertices_mm, mesh.faces, np.asarray(away > _UNSEEN * grain))

@@ -1,0 +1,184 @@
+"""A mesh near points laid through them: all its vertices at once, stiff as the points have it.
+
+Vertices move along their normals by h, so that the mesh goes through the points and the way it goes
+bends little::
+
+    sum over points  (rise - h)^2 / variance   +   integral of  stiffness (Laplacian of h)^2
+
+What one slice does not tell, at a gap or between slices, thus follows from all that is told around,
+by how certain it is. (A quadratic surface through the points around each vertex by itself, as wide
+as its scatter allowed, was twice as far off beside gaps: a window that sees points on one side only
+goes on as their noise happens to slope.)
+
+The stiffness varies over the surface: a broad flank is smoothed widely, and an ear is not smoothed
+away. It follows from the points by one step of restricted likelihood (Wood, Fasiolo 2017,
+doi:10.1111/biom.12666), its two sums taken over some grains around each vertex. The freedom that
+points use up is told by surfaces drawn from the posterior, an exact inverse being far dearer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csc_array, csr_array, diags_array
+from scipy.sparse.linalg import SuperLU, splu
+from threadpoolctl import threadpool_limits
+
+from reconstruction.arrays import FloatArray, IntArray
+from reconstruction.skinning.mesh_feet import MeshFeet, mesh_feet, vertex_normals
+
+_FIRST_WAVE = 0.8  # grains: what is shorter, the first stiffness smooths
+_WIDER = 1.25  # than likelihood says: the mesh that h starts from has some of the same noise
+_MOST_WIDER = 4.0  # than the first, and narrower: no one step tells more
+_AROUND = 1.0  # grains, in which the stiffness is alike
+_DRAWN = 4  # surfaces
+_ROUNDS = 2  # with the stiffness learnt
+_LEVEL = 0.05  # of the variance in the plane: what is left of it on a level wall
+_EXACT = 1e-3  # of a grain: scatter below it is none
+_FAR, _FAR_GRAINS = 5.0, 0.5  # standard deviations and grains up to which points are of a mesh
+_FLATTEST, _STEEPEST = 0.02, 3.0  # halves of cotangents: slivers would tear the Laplacian
+_LEAST_AREA = 1e-3  # of the usual one of a vertex
+_RIDGE = 1e-9  # of the usual pivot
+_EMPTY = 1e-300
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cloud:
+    """Points, where they look and how certain they are."""
+
+    points_mm: FloatArray  # (n, 3)
+    outward: FloatArray  # (n, 3)
+    counts: FloatArray  # (n,)
+    sigma_mm: float  # of one count, in the planes perpendicular to ...
+    axis: FloatArray  # ... (3,)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rows:
+    """What points ask of moves h of the vertices: design @ h = rises."""
+
+    design: csr_array  # (m, v)
+    rises_mm: FloatArray  # (m,)
+    weights: FloatArray  # (m,), inverse variances
+
+
+def draped(
+    vertices_mm: FloatArray, faces: IntArray, cloud: Cloud, *, grain_mm: float
+) -> FloatArray:
+    """Vertices (v, 3) of a closed mesh laid through points; without points they stay.
+
+    Parameters
+    ----------
+    grain_mm
+        What is smaller cannot be told: the distance of slices, or of points on the surface.
+    """
+    laplacian, areas = _laplacian(vertices_mm, faces)
+    moves = np.zeros(len(vertices_mm))
+    normals = vertex_normals(vertices_mm, faces)
+    rows = _rows(vertices_mm, faces, cloud, grain_mm)
+    if not rows.weights.any():
+        return vertices_mm
+    density = float(rows.weights.sum() / areas.sum())
+    stiffness = np.full(len(areas), density * (_FIRST_WAVE * grain_mm) ** 4)
+    factor, step = _solved(rows, _bending(laplacian, areas, stiffness), moves)
+    stiffness = _learnt(rows, laplacian, areas, stiffness, step, factor, grain_mm)
+    bending = _bending(laplacian, areas, stiffness)
+    for turn in range(_ROUNDS + 1):
+        step = np.clip(step, -grain_mm, grain_mm)
+        moves, vertices_mm = moves + step, vertices_mm + step[:, None] * normals
+        if turn == _ROUNDS:
+            break
+        normals = vertex_normals(vertices_mm, faces)
+        rows = _rows(vertices_mm, faces, cloud, grain_mm)
+        _, step = _solved(rows, bending, moves)
+    return vertices_mm
+
+
+def _rows(vertices_mm: FloatArray, faces: IntArray, cloud: Cloud, grain_mm: float) -> _Rows:
+    feet = mesh_feet(cloud.points_mm, cloud.outward, vertices_mm, faces)
+    shape = (len(feet.which), len(vertices_mm))
+    places = (np.repeat(np.arange(shape[0]), 3), feet.corners.ravel())
+    design = csr_array((feet.shares.ravel(), places), shape=shape)
+    return _Rows(design, feet.rises_mm, _weights(feet, cloud, grain_mm))
+
+
+def _weights(feet: MeshFeet, cloud: Cloud, grain_mm: float) -> FloatArray:
+    """Inverse variances along the normals (m,); none for what lies too far off."""
+    sigma = max(cloud.sigma_mm, _EXACT * grain_mm)
+    variances = sigma**2 * (1.0 - (feet.normals @ cloud.axis) ** 2 + _LEVEL)
+    reach = _FAR * sigma + _FAR_GRAINS * grain_mm
+    near = np.clip((reach - feet.away_mm) / sigma, 0.0, 1.0)
+    return np.asarray(cloud.counts[feet.which] * near / variances)
+
+
+def _laplacian(vertices_mm: FloatArray, faces: IntArray) -> tuple[csr_array, FloatArray]:
+    """The cotangent Laplacian (v, v), not divided by the areas of vertices (v,)."""
+    count = len(vertices_mm)
+    values, rows, columns, areas = [], [], [], np.zeros(count)
+    for k in range(3):
+        i, j, apex = faces[:, (k + 1) % 3], faces[:, (k + 2) % 3], faces[:, k]
+        one, other = vertices_mm[i] - vertices_mm[apex], vertices_mm[j] - vertices_mm[apex]
+        twice = np.linalg.norm(np.cross(one, other), axis=1)
+        cotangents = np.einsum("fd,fd->f", one, other) / np.maximum(twice, _EMPTY)
+        half = np.clip(cotangents / 2.0, _FLATTEST, _STEEPEST)
+        values += [half, half]
+        rows += [i, j]
+        columns += [j, i]
+        areas += np.bincount(apex, twice / 6.0, count)
+    places = (np.concatenate(rows), np.concatenate(columns))
+    beside = csr_array((np.concatenate(values), places), shape=(count, count))
+    total = np.asarray(beside.sum(axis=1)).ravel()
+    return (
+        csr_array(diags_array(total) - beside),
+        np.maximum(areas, _LEAST_AREA * float(np.median(areas))),
+    )
+
+
+def _bending(laplacian: csr_array, areas: FloatArray, stiffness: FloatArray) -> csr_array:
+    return csr_array(laplacian @ diags_array(stiffness / areas) @ laplacian)
+
+
+def _solved(rows: _Rows, bending: csr_array, moves: FloatArray) -> tuple[SuperLU, FloatArray]:
+    """The factor of the system, and the moves (v,) that are still lacking."""
+    design = rows.design
+    matrix = design.T @ diags_array(rows.weights) @ design + bending
+    factor = _factorised(matrix)
+    right = design.T @ (rows.weights * rows.rises_mm) - bending @ moves
+    return factor, np.asarray(factor.solve(right))
+
+
+def _factorised(matrix: csr_array) -> SuperLU:
+    """Of a positive matrix, that need not be quite positive where nothing stands."""
+    ridge = _RIDGE * float(np.median(matrix.diagonal()))
+    whole = csc_array(matrix + diags_array(np.full(matrix.shape[0], ridge)))
+    with threadpool_limits(1, "blas"):
+        return splu(
+            whole,
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+
+
+def _learnt(
+    rows: _Rows,
+    laplacian: csr_array,
+    areas: FloatArray,
+    stiffness: FloatArray,
+    moves: FloatArray,
+    factor: SuperLU,
+    grain_mm: float,
+) -> FloatArray:
+    """The stiffness (v,) after one step: freedom used up over the bends there are, around each."""
+    rng = np.random.default_rng(0)
+    design, weights = rows.design, rows.weights
+    noise = design.T @ (np.sqrt(weights)[:, None] * rng.normal(size=(len(weights), _DRAWN)))
+    prior = np.sqrt(stiffness / areas)[:, None] * rng.normal(size=(len(areas), _DRAWN))
+    drawn = np.asarray(factor.solve(noise + laplacian @ prior))
+    used = design.T @ (weights * ((design @ drawn) ** 2).mean(axis=1))
+    bends = (laplacian @ moves) ** 2 / areas
+    around = _factorised(csr_array(diags_array(areas) + (_AROUND * grain_mm) ** 2 * laplacian))
+    used, bends = (around.solve(areas * around.solve(np.asarray(each))) for each in (used, bends))
+    told = _WIDER**4 * np.maximum(used, _EMPTY) / np.maximum(bends, _EMPTY) / stiffness
+    return np.asarray(stiffness * np.clip(told, _MOST_WIDER**-4, _MOST_WIDER**4))
