@@ -2,8 +2,8 @@ r"""Inside and outside of a cloud, from all slices at once: a field that is posi
 
 Where slices alone do not tell what is a wall of what (thin parts beside each other, contours seen
 from one side, shapes that change from slice to slice), their neighbours do. Outward directions are
-guessed from what can be reached from outside, and then made to agree with the field that they are
-the gradient of, from coarse to fine::
+guessed from what lies inside of the points (`basins`), or from what can be reached from outside,
+and then made to agree with the field that they are the gradient of, from coarse to fine::
 
     points, directions -> smeared on a grid -> field by a Poisson equation (FFT) -> directions ...
 
@@ -15,6 +15,7 @@ transform's repetition of space does no harm.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 import scipy.fft
@@ -22,7 +23,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, label, map_coordinates
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import BoolArray, FloatArray
+from reconstruction.skinning.basins import inside_of
 
 Spectrum = NDArray[np.complex128]
 
@@ -31,10 +33,23 @@ _FINEST = 180  # cells along the longest side at most
 _A_GRAIN = 1.8  # cells
 _FLOODED_CELLS = 96
 _CLOSED = 2.0  # grains: what is narrower is not reached from outside at first
-_SMEARED = (4.0,) * 3 + (3.0,) * 3 + (2.5,) * 3 + (2.0,) * 3 + (1.6,) * 3 + (1.3,) * 2 + (1.0,) * 4
+_SMEARED: tuple[float, ...] = (
+    (4.0,) * 3 + (3.0,) * 3 + (2.5,) * 3 + (2.0,) * 3 + (1.6,) * 3 + (1.3,) * 2 + (1.0,) * 4
+)
+_SMEARED_LESS: tuple[float, ...] = (1.3,) * 3 + (
+    1.0,
+) * 4  # where the guess is right nearly everywhere
 _LEAST_SMEARED = 0.8  # cells
 _DENSITY = 1.5  # grains in which density is told
+_OPEN = 0.9  # of the margin: certainly outside
 _EMPTY = 1e-12
+
+
+class Guess(Enum):
+    """How outward directions are first told."""
+
+    BASINS = "basins"  # space divided where it is narrowest: follows slots, bridges holes
+    REACHED = "reached"  # what is reached through wide openings: for parts thin everywhere
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,19 +62,30 @@ class Field:
     outward: FloatArray  # (n, 3), unit, of the points
 
 
-def field_of(points_mm: FloatArray, counts: FloatArray, grain_mm: float) -> Field:
+def field_of(
+    points_mm: FloatArray, counts: FloatArray, grain_mm: float, guess: Guess = Guess.BASINS
+) -> Field:
     """The field of points (n, 3), each counted (n,) times.
 
     Parameters
     ----------
     grain_mm
         What is smaller cannot be told: the distance of slices, or of points on the surface.
+
+    Raises
+    ------
+    Unfittable
+        Nothing lies deep inside of the points, where that is the guess.
     """
     grid = _Grid(points_mm, grain_mm)
     areas = _areas(grid, points_mm, counts, _DENSITY * grain_mm)
-    outward = _flooded(points_mm, grain_mm)
+    if guess is Guess.BASINS:
+        outward = _divided(grid, points_mm, grain_mm)
+        widths = _SMEARED_LESS
+    else:
+        outward, widths = _flooded(points_mm, grain_mm), _SMEARED
     spectrum = np.empty(0, dtype=np.complex128)
-    for smeared in _SMEARED:
+    for smeared in widths:
         width = max(smeared * grain_mm, _LEAST_SMEARED * grid.step_mm)
         spectrum = grid.integrated(points_mm, -outward * areas[:, None], width)
         outward = -_unit(grid.gradient_at(spectrum, points_mm))
@@ -76,7 +102,7 @@ class _Grid:
         margin = _MARGIN * float(np.linalg.norm(high - low))
         longest = float((high - low).max())
         self.step_mm = longest / cells if cells else max(grain_mm / _A_GRAIN, longest / _FINEST)
-        self.low_mm = low - margin
+        self.low_mm, self.margin_mm = low - margin, margin
         counts = np.ceil((high - low + 2.0 * margin) / self.step_mm).astype(int) + 1
         self.shape = tuple(int(scipy.fft.next_fast_len(int(n), real=True)) for n in counts)
         full = [np.fft.fftfreq(n, self.step_mm) for n in self.shape[:2]]
@@ -89,6 +115,12 @@ class _Grid:
     def smearing(self, width_mm: float) -> FloatArray:
         """A Gaussian's transform."""
         return np.asarray(np.exp(-0.5 * width_mm**2 * self._squares))
+
+    def taken(self, points_mm: FloatArray) -> BoolArray:
+        """Nodes next to points."""
+        taken = np.zeros(self.shape, dtype=np.bool_)
+        taken[tuple(np.rint((points_mm - self.low_mm) / self.step_mm).astype(int).T)] = True
+        return taken
 
     def splat(self, points_mm: FloatArray, values: FloatArray) -> FloatArray:
         """Values (n,) a volume, shared among the nodes around each point."""
@@ -128,11 +160,19 @@ def _areas(grid: _Grid, points_mm: FloatArray, counts: FloatArray, width_mm: flo
     return np.asarray(counts / (dense * np.sqrt(2.0 * np.pi) * width_mm))
 
 
+def _divided(grid: _Grid, points_mm: FloatArray, grain_mm: float) -> FloatArray:
+    """Directions away from what lies inside of the points."""
+    inside = inside_of(
+        grid.taken(points_mm), grid.step_mm, grain_mm=grain_mm, margin_mm=_OPEN * grid.margin_mm
+    )
+    spectrum = scipy.fft.rfftn(inside.astype(np.float64)) * grid.smearing(grain_mm)
+    return -_unit(grid.gradient_at(spectrum, points_mm))
+
+
 def _flooded(points_mm: FloatArray, grain_mm: float) -> FloatArray:
     """Directions away from what cannot be reached from outside past the points."""
     grid = _Grid(points_mm, grain_mm, _FLOODED_CELLS)
-    free = np.ones(grid.shape, dtype=np.bool_)
-    free[tuple(np.rint((points_mm - grid.low_mm) / grid.step_mm).astype(int).T)] = False
+    free = ~grid.taken(points_mm)
     reach = max(_CLOSED * grain_mm, 1.5 * grid.step_mm)
     regions, _ = label(distance_transform_edt(free) * grid.step_mm > reach)
     inside = distance_transform_edt(regions != regions[0, 0, 0]) * grid.step_mm > reach

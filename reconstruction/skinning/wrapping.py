@@ -17,10 +17,11 @@ from numba import njit
 from scipy.spatial import cKDTree
 
 from reconstruction.arrays import FloatArray, IntArray
+from reconstruction.errors import Unfittable
 from reconstruction.manifolds import manifold_of, mesh_of
 from reconstruction.meshing import Mesh
 from reconstruction.skinning.draping import Cloud, draped
-from reconstruction.skinning.field import Field, field_of
+from reconstruction.skinning.field import Field, Guess, field_of
 
 _EDGE = 1.2  # grid steps: of the mesh
 _LEAST_PART = 0.01  # of the volume: a smaller one is a heap of stray points
@@ -30,6 +31,7 @@ _UNSEEN = 2.5  # grains: farther from all points a vertex stands on none
 _SAMPLES, _FEWER = 300_000, 50_000
 _APART = 0.75  # grains
 _FAR = 4.0  # standard deviations
+_LEFT = 0.01  # of the points: more aside, and the guess of what is inside may be wrong
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,10 +47,30 @@ class Swarm:
 
 
 def wrapped(swarm: Swarm) -> Mesh | None:
-    """Wrap a mesh around points; None if they enclose nothing."""
+    """Wrap a mesh around points; None if they enclose nothing.
+
+    Inside and outside are guessed one way, and another way as well if that leaves points aside.
+    """
+    best, least = None, math.inf
+    for guess in Guess:
+        made = _wrapped(swarm, guess)
+        if made is None:
+            continue
+        left = share_far(made, swarm)
+        if left < least:
+            best, least = made, left
+        if left <= _LEFT:
+            break
+    return best
+
+
+def _wrapped(swarm: Swarm, guess: Guess) -> Mesh | None:
     points, counts = swarm.points_mm, swarm.counts
     grain = grain_mm(swarm)
-    field = field_of(points, counts, grain)
+    try:
+        field = field_of(points, counts, grain, guess)
+    except Unfittable:
+        return None
     mesh = _level_mesh(field)
     if mesh is None:
         return None
