@@ -28,6 +28,7 @@ _SPANS_A_FREEDOM = 2.5
 _MORE_SPANS = 10
 _LEAST_SPANS_U, _WIDE_SPANS_U = 12, 240  # half of what their own sections use at least
 _MOST_SPANS = 240
+_ROUND_SPANS = 48  # an exact ellipse is told by five numbers, but takes so many spans to follow
 _LEAST_SPANS_V, _WIDE_SPANS_V = 6, 32
 _MOST_SPANS_V = 160
 _STATIONS_A_SPAN = 3
@@ -235,7 +236,7 @@ def _standing_out(stations: Stations, *, cyclic: bool) -> int | None:
 def _spans_around(branch: Branch) -> int:
     """Spans enough for the liveliest of the outlines; the stiffness does the rest."""
     edf = float(np.quantile([outline.fitted.edf for outline in branch.outlines], 0.9))
-    return int(min(max(_SPANS_A_FREEDOM * edf + _MORE_SPANS, _LEAST_SPANS_U), _MOST_SPANS))
+    return int(min(max(_SPANS_A_FREEDOM * edf + _MORE_SPANS, _ROUND_SPANS), _MOST_SPANS))
 
 
 def _spans_along(branch: Branch) -> int:
