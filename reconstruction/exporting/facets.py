@@ -15,6 +15,7 @@ import manifold3d
 import numpy as np
 
 from reconstruction.arrays import FloatArray, IntArray
+from reconstruction.manifolds import manifold_of, mesh_of
 from reconstruction.meshing import Mesh
 
 MOST_FACETS = 12_000
@@ -31,11 +32,7 @@ def thinned(mesh: Mesh, *, most: int = MOST_FACETS) -> Mesh:
     cuts off, an even shift along the normals gives back. A mesh that is no manifold is returned as
     it is.
     """
-    body = manifold3d.Manifold(
-        manifold3d.Mesh64(
-            np.array(mesh.vertices_mm, dtype=np.float64), mesh.faces.astype(np.uint64)
-        )
-    )
+    body = manifold_of(mesh)
     if body.status() != manifold3d.Error.NoError or body.is_empty():
         return mesh
     volume, best = body.volume(), body
@@ -48,17 +45,7 @@ def thinned(mesh: Mesh, *, most: int = MOST_FACETS) -> Mesh:
             break
         best = found
         tolerance *= _COARSER
-    return _refilled(_mesh_of(best), volume)
-
-
-def _mesh_of(body: manifold3d.Manifold) -> Mesh:
-    made = body.to_mesh64()
-    target = np.arange(len(made.vert_properties))
-    target[np.asarray(made.merge_from_vert, dtype=np.int64)] = made.merge_to_vert
-    faces = target[np.asarray(made.tri_verts).astype(np.int64)]
-    used, numbers = np.unique(faces, return_inverse=True)
-    places = np.asarray(made.vert_properties)[used, :3]
-    return Mesh(places, numbers.reshape(faces.shape), np.zeros(len(used), dtype=np.bool_))
+    return _refilled(mesh_of(best), volume)
 
 
 def _refilled(mesh: Mesh, volume_mm3: float) -> Mesh:

@@ -17,6 +17,7 @@ from numba import njit
 from scipy.spatial import cKDTree
 
 from reconstruction.arrays import FloatArray, IntArray
+from reconstruction.manifolds import manifold_of, mesh_of
 from reconstruction.meshing import Mesh
 from reconstruction.skinning.field import Field, field_of
 from reconstruction.skinning.local_fit import cloud_of, moved
@@ -70,14 +71,12 @@ def _between_planes(mesh: Mesh, swarm: Swarm) -> Mesh:
     No slice has seen it; over a flat end, which slices never sample, the field bulges.
     """
     heights = swarm.points_mm @ swarm.axis
-    body = manifold3d.Manifold(
-        manifold3d.Mesh64(np.array(mesh.vertices_mm), mesh.faces.astype(np.uint64))
-    )
+    body = manifold_of(mesh)
     low, high = float(heights.min()), float(heights.max())
     margin = 0.5 * swarm.pitch_mm
     body = body.trim_by_plane(swarm.axis.tolist(), low - margin)
     body = body.trim_by_plane((-swarm.axis).tolist(), -(high + margin))
-    return mesh if body.is_empty() else _mesh_of(body)
+    return mesh if body.is_empty() else mesh_of(body)
 
 
 def share_far(mesh: Mesh, swarm: Swarm) -> float:
@@ -141,16 +140,7 @@ def _level_mesh(field: Field) -> Mesh | None:
     parts = [each for each in body.decompose() if abs(each.volume()) > _LEAST_PART * whole]
     if not parts or not whole > 0.0:
         return None
-    return _mesh_of(manifold3d.Manifold.compose(parts))
-
-
-def _mesh_of(body: manifold3d.Manifold) -> Mesh:
-    made = body.to_mesh64()
-    target = np.arange(len(made.vert_properties))
-    target[np.asarray(made.merge_from_vert, dtype=np.int64)] = made.merge_to_vert
-    used, faces = np.unique(target[np.asarray(made.tri_verts, dtype=np.int64)], return_inverse=True)
-    vertices = np.asarray(made.vert_properties)[used, :3]
-    return Mesh(vertices, faces.reshape(-1, 3), np.zeros(len(vertices), dtype=np.bool_))
+    return mesh_of(manifold3d.Manifold.compose(parts))
 
 
 @njit(cache=True)

@@ -173,6 +173,8 @@ def test_a_plausible_size_is_no_warning(place: Path, cloud: str, without_picture
         (["--axis", "w"], "--axis 'w': one of x, y, z expected"),
         (["--method", "spline"], "--method 'spline': one of paper, fit expected"),
         (["--exact", "never"], "--exact: means nothing to --method paper; leave it out"),
+        (["--nurbs", "always"], "--nurbs: means nothing to --method paper; leave it out"),
+        (["--method", "fit", "--nurbs", "no"], "--nurbs 'no': one of auto, always expected"),
         (
             ["--method", "fit", "--resolution-mm", "1"],
             "--resolution-mm: means nothing to --method fit; leave it out",
