@@ -13,14 +13,16 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from sim.baumer_ox import OxSensor, OxSettings
-from sim.device import Broadcaster, Device, ModbusUnit
-from sim.faults import Breath, Dropping, Faults, Garbling, Silent, Speaker, Unsent
+from sim.cabling import Cabling
+from sim.device import Device, ModbusUnit
+from sim.faults import Faults, Speaker
 from sim.grbl import GrblBoard, GrblSettings
 from sim.leadshine import Family, LeadshineDrive, LeadshineSettings
 from sim.modbus import RtuServer, TcpSession
@@ -161,19 +163,22 @@ def connect(
     OSError
         A port is taken.
     """
+    cabling = Cabling(faults, layout.seed, devices.world.witness)
     table, stage = Pty(folder / "table"), Pty(folder / "stage")
-    server.serve_pty(table, _on_serial_line(devices.table, Speaker.TABLE, faults))
+    server.serve_pty(table, cabling.serial(devices.table, Speaker.TABLE))
     drives = RtuServer({_DEVICE_ID: devices.stage})
-    server.serve_pty(stage, _on_serial_line(drives, Speaker.STAGE, faults))
+    server.serve_pty(stage, cabling.serial(drives, Speaker.STAGE))
     profiles = UdpSender(layout.profiles_port)
-    server.broadcast(profiles, _over_network(devices.profiler, faults))
+    server.broadcast(profiles, cabling.network(devices.profiler, Speaker.PROFILER))
     server.tell_time(devices.relay.tick)  # its watchdog bites whether or not it has a connection
     return Addresses(
         table=f"serial://{table.path}?baud={_TABLE_BAUD}",
         stage=f"serial://{stage.path}?baud={layout.stage_baud}",
-        profiler=_listen(devices.profiler, Speaker.PROFILER, layout.profiler_port, faults, server),
+        profiler=_listen(
+            devices.profiler, cabling.tcp(Speaker.PROFILER), layout.profiler_port, server
+        ),
         profiles=profiles.address,
-        laser=_listen(devices.relay, Speaker.RELAY, layout.relay_port, faults, server),
+        laser=_listen(devices.relay, cabling.tcp(Speaker.RELAY), layout.relay_port, server),
     )
 
 
@@ -278,28 +283,10 @@ def _leadshine_settings(layout: Layout) -> LeadshineSettings:
     )
 
 
-def _on_serial_line(device: Device, speaker: Speaker, faults: Faults) -> Device:
-    if speaker in faults.silent_after:
-        device = Silent(device, Breath(faults.silent_after[speaker]))
-    return Garbling(device, faults.garble_every) if faults.garble_every else device
-
-
-def _over_network(source: Broadcaster, faults: Faults) -> Broadcaster:
-    if not faults.profiles:
-        source = Unsent(source)
-    return Dropping(source, faults.drop_every) if faults.drop_every else source
-
-
-def _listen(unit: ModbusUnit, speaker: Speaker, port: int, faults: Faults, server: Server) -> str:
-    """Give one unit a port of its own; all its connections share one breath."""
-    breath = Breath(faults.silent_after[speaker]) if speaker in faults.silent_after else None
-
-    def session() -> Device:
-        served = TcpSession({_DEVICE_ID: unit})
-        return served if breath is None else Silent(served, breath)
-
+def _listen(unit: ModbusUnit, cable: Callable[[Device], Device], port: int, server: Server) -> str:
+    """Give one unit a port of its own."""
     listener = TcpListener(port)
-    server.serve_tcp(listener, session)
+    server.serve_tcp(listener, lambda: cable(TcpSession({_DEVICE_ID: unit})))
     return listener.address
 
 
