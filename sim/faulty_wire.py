@@ -93,6 +93,8 @@ class Way:
     ) -> None:
         self._faults = faults.on(carrier)
         self._in_order = carrier is not Carrier.UDP
+        self._whole = carrier is Carrier.TCP
+        self.broken = False  # a TCP stream that was cut has no rest
         self._plug = plug
         self._dice = dice
         self._coming: list[tuple[float, int, bytes]] = []
@@ -101,7 +103,7 @@ class Way:
 
     def put(self, message: bytes, now_s: float) -> None:
         """Hand it a message."""
-        if not message or not self._plug.carries(now_s):
+        if not message or self.broken or not self._plug.carries(now_s):
             return
         if self._struck("drop", now_s):
             return
@@ -109,7 +111,7 @@ class Way:
         delay_s = self._faults.late_s if self._struck("late", now_s) else 0.0
         overtaken = self._struck("swap", now_s)
         self._send(bent, now_s + delay_s + overtaken * _OVERTAKEN_S, overtaken, now_s)
-        if self._struck("twice", now_s):
+        if not self.broken and self._struck("twice", now_s):
             self._queue(bent, now_s + delay_s + self._dice.uniform(*_AGAIN_S), self._in_order)
         if self._struck("mute", now_s):
             self._plug.hush(now_s)
@@ -144,6 +146,7 @@ class Way:
             message = message[:hit] + bytes([wrong]) + message[hit + 1 :]
         if self._struck("cut", now_s):
             message = message[: self._dice.randrange(len(message))]
+            self.broken = self._whole
         if self._struck("noise", now_s):
             message = self._dice.randbytes(self._dice.choice(_NOISE_BYTES)) + message
         return message
@@ -181,7 +184,8 @@ class FaultyLine:
     @property
     def lost(self) -> bool:
         """Whether the connection is to be closed, or the cable is out."""
-        return self._out or bool(getattr(self._device, "lost", False))
+        broken = self._there.broken or self._back.broken
+        return self._out or broken or bool(getattr(self._device, "lost", False))
 
     def receive(self, data: bytes, now_s: float) -> bytes:
         """Carry a request there; return what has come back by now."""

@@ -50,7 +50,7 @@ CHANCES: Mapping[str, str] = MappingProxyType(
         "late": "comes late-ms later, and what follows waits behind it",
         "drop": "is lost",
         "flip": "has one bit wrong",
-        "cut": "loses its end",
+        "cut": "loses its end; on TCP, with the connection",
         "twice": "comes again a moment later",
         "swap": "is overtaken by the next",
         "split": "comes in two pieces some ms apart",
