@@ -111,7 +111,8 @@ class Way:
         delay_s = self._faults.late_s if self._struck("late", now_s) else 0.0
         overtaken = self._struck("swap", now_s)
         self._send(bent, now_s + delay_s + overtaken * _OVERTAKEN_S, overtaken, now_s)
-        if not self.broken and self._struck("twice", now_s):
+        cut_off = self._whole and len(bent) < len(message)
+        if not cut_off and self._struck("twice", now_s):
             self._queue(bent, now_s + delay_s + self._dice.uniform(*_AGAIN_S), self._in_order)
         if self._struck("mute", now_s):
             self._plug.hush(now_s)
