@@ -1,7 +1,8 @@
 """``python -m sim``: a simulated station on wires of this machine, until Ctrl-C.
 
 A parent that starts it waits for the line ``station: PATH``, or for a JSON object with ``--json``;
-with ``--while-stdin-open`` it ends when the parent does, however that ends.
+with ``--while-stdin-open`` it ends when the parent does, however that ends. ``kill -USR1`` pulls a
+cable, which is put back by itself (``away-ms`` of ``--faults``).
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NoReturn
 
+from sim.cabling import Cabling
 from sim.faults import FAULTS, parse_faults
 from sim.parts import PARTS, find_part
 from sim.serving import Ending, Server
@@ -79,8 +81,10 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
     files = _files(wanted, folder)
     with WitnessLog(files.witness) as witness:
         devices = build(layout, part, witness, time.monotonic(), faults=faults)
+        cabling = Cabling(faults, layout.seed, witness)
+        signal.signal(signal.SIGUSR1, lambda *_: cabling.pull_any(time.monotonic()))
         with Server(lively=devices.lively) as server:
-            addresses = connect(devices, layout, faults, server, folder)
+            addresses = connect(devices, layout, cabling, server, folder)
             files.truth.write_bytes(truth_ply(part))
             plan = plan_toml(layout, part, rings=wanted.rings, stops=wanted.stops)
             files.plan.write_text(plan, encoding="utf-8")

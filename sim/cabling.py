@@ -33,7 +33,12 @@ class Cabling:
         self._faults = faults
         self._seed = seed
         self._witness = witness
+        self._pulling = random.Random(f"{seed} pulling")
         self._plugs = {speaker: self._plug(speaker.value) for speaker in Speaker}
+
+    def pull_any(self, now_s: float) -> None:
+        """Pull a cable, any one."""
+        self._pulling.choice(list(self._plugs.values())).pull(now_s)
 
     def serial(self, device: Device, speaker: Speaker) -> Device:
         """Lay a serial line to a device."""
@@ -42,7 +47,7 @@ class Cabling:
             device = Silent(device, breath)
         if self._faults.garble_every:
             device = Garbling(device, self._faults.garble_every)
-        return self._spoilt(device, speaker, Carrier.SERIAL, self._dice(speaker, "serial"))
+        return self._laid(device, speaker, Carrier.SERIAL, self._dice(speaker, "serial"))
 
     def tcp(self, speaker: Speaker) -> Callable[[Device], Device]:
         """Lay a TCP cable; what is returned puts a session on it. All share one breath."""
@@ -51,7 +56,7 @@ class Cabling:
         def session(device: Device) -> Device:
             if breath is not None:
                 device = Silent(device, breath)
-            return self._spoilt(device, speaker, Carrier.TCP, dice)
+            return self._laid(device, speaker, Carrier.TCP, dice)
 
         return session
 
@@ -61,18 +66,13 @@ class Cabling:
             source = Unsent(source)
         if self._faults.drop_every:
             source = Dropping(source, self._faults.drop_every)
-        if not self._faults.wires.any:
-            return source
         dice = self._dice(speaker, "udp")
         return FaultyNetwork(source, self._faults.wires, self._plugs[speaker], dice)
 
-    def _spoilt(
+    def _laid(
         self, device: Device, speaker: Speaker, carrier: Carrier, dice: random.Random
     ) -> Device:
-        wires = self._faults.wires
-        return (
-            FaultyLine(device, wires, carrier, self._plugs[speaker], dice) if wires.any else device
-        )
+        return FaultyLine(device, self._faults.wires, carrier, self._plugs[speaker], dice)
 
     def _breath(self, speaker: Speaker) -> Breath | None:
         answers = self._faults.silent_after.get(speaker)

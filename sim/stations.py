@@ -154,7 +154,7 @@ def build(
 
 
 def connect(
-    devices: Devices, layout: Layout, faults: Faults, server: Server, folder: Path
+    devices: Devices, layout: Layout, cabling: Cabling, server: Server, folder: Path
 ) -> Addresses:
     """Put the devices on wires that the server serves; serial ports get their names in a folder.
 
@@ -163,7 +163,6 @@ def connect(
     OSError
         A port is taken.
     """
-    cabling = Cabling(faults, layout.seed, devices.world.witness)
     table, stage = Pty(folder / "table"), Pty(folder / "stage")
     server.serve_pty(table, cabling.serial(devices.table, Speaker.TABLE))
     drives = RtuServer({_DEVICE_ID: devices.stage})

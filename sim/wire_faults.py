@@ -34,11 +34,6 @@ class WireFaults:
         default_factory=lambda: MappingProxyType({})
     )
 
-    @property
-    def any(self) -> bool:
-        """Whether anything is wrong at all."""
-        return bool(self.unplug_after_s) or any(self.chances.values())
-
     def on(self, carrier: Carrier) -> WireFaults:
         """What of it can happen on a carrier; the rest is left out."""
         chances = {name: p for name, p in self.chances.items() if name not in _SPARED[carrier]}

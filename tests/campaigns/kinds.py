@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -63,6 +64,13 @@ def _unread(victim: Victim, _: Instant) -> Struck:
     return Struck(time.monotonic())
 
 
+def _unplugged(victim: Victim, _: Instant) -> Struck:
+    """Pull a cable of the station, any one; it is back half a second later."""
+    now_s = time.monotonic()
+    os.kill(victim.station_pid, signal.SIGUSR1)
+    return Struck(now_s)
+
+
 @dataclass(frozen=True, slots=True)
 class Kind:
     """A way to stop a scan, and what is promised of it."""
@@ -102,6 +110,7 @@ KINDS = (
     Kind("SIGHUP", signalled(signal.SIGHUP), (3,)),
     Kind("exception", _by_itself, (1,), by_script=True, raises=True),
     Kind("script SIGINT", signalled(signal.SIGINT), (-signal.SIGINT,), by_script=True),
+    Kind("unplugged", _unplugged, (4,), laser_s=None, axes_s=None),
     Kind("stdout closed", _unread, (1,), laser_s=0.0, counts_from_end=True, piped=True),
     Kind("SIGKILL", signalled(signal.SIGKILL), (-signal.SIGKILL,), laser_s=WATCHDOG_S,
          axes_s=None, dies=True),
