@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Annotated, ClassVar
 
 from acquisition.frames import Kinematics
+from acquisition.motion_settings import ZaberStage, ZaberTable
 from acquisition.settings import Key, commented_toml, parse_settings, read_settings
 from drivers.addresses import parse_address
 
@@ -203,13 +204,17 @@ class NoLaserSwitch:
     switch: ClassVar = "none"
 
 
+TableSettings = GrblTable | ZaberTable
+StageSettings = LeadshineStage | ZaberStage
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Station:
     """Everything station.toml says."""
 
     name: Annotated[str, Key("for reports")] = "station"
-    table: Annotated[GrblTable, Key("what turns the part")]
-    stage: Annotated[LeadshineStage, Key("what lifts the laser plane or the part")]
+    table: Annotated[TableSettings, Key("what turns the part")]
+    stage: Annotated[StageSettings, Key("what lifts the laser plane or the part")]
     profiler: Annotated[BaumerOx, Key("what measures")]
     laser: Annotated[
         RelayLaser | NoLaserSwitch,

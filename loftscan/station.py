@@ -28,7 +28,6 @@ from acquisition.station import Station as Settings
 from drivers.axis import Axis, AxisState, Motion, Pause
 from drivers.endings import at_last
 from drivers.errors import NoReply, Refused
-from drivers.grbl import GrblAxis
 from drivers.links import ByteLink, open_link
 from drivers.profiler import Profile
 from loftscan.signals import Attention
@@ -146,7 +145,7 @@ class Station:
             return self.stand()
 
     def jog_by(self, *, table_deg: float = 0.0, stage_mm: float = 0.0) -> Stand:
-        """Move by a distance from where it stands; a Grbl table unhomed by one degree at most."""
+        """Move by a distance from where it stands; unhomed, a table by one degree at most."""
         with self._working() as pause:
             if stage_mm:
                 stage = self._axis("stage")
@@ -235,7 +234,7 @@ class Station:
     def _turn_by(self, angle_rad: float, pause: Pause) -> None:
         table = self._devices.table
         here = table.state()
-        if isinstance(table, GrblAxis) and not here.homed:
+        if not here.homed:
             table.jog_to(here.position + angle_rad, pause)
         else:
             table.move_to(here.position + angle_rad, pause)

@@ -45,6 +45,7 @@ from drivers.leadshine.registers import (
 
 _POLL_S = 0.02
 _STOP_TRIES = 3
+_UNHOMED_JOG_MM = 1.0
 _FAMILY = "leadshine"
 _NOT_THERE = (2, 3)  # Modbus exceptions: illegal address, illegal value
 
@@ -110,12 +111,12 @@ class StageSettings:
             raise ValueError(f"{speed_mm_s} mm/s is {rpm:.2f} rpm on this screw, less than 1")
         return round(rpm)
 
-    def path_to(self, position_mm: float) -> Path:
-        """Return the move to an absolute position."""
+    def path_to(self, position_mm: float, speed_mm_s: float | None = None) -> Path:
+        """Return the move to an absolute position, at the speed of moves if none is given."""
         return Path(
             mode=PathMode.ABSOLUTE,
             position_counts=self.counts(position_mm),
-            speed_rpm=self.rpm(self.speed_mm_s),
+            speed_rpm=self.rpm(speed_mm_s or self.speed_mm_s),
             acceleration_ms=self.acceleration_ms,
             deceleration_ms=self.deceleration_ms,
         )
@@ -132,9 +133,9 @@ class StageSettings:
             deceleration_ms=self.deceleration_ms,
         )
 
-    def move_s(self, distance_mm: float) -> float:
+    def move_s(self, distance_mm: float, speed_mm_s: float | None = None) -> float:
         """Return the time within which a move must be over: cruise, ramps, settling, slack."""
-        rpm = self.rpm(self.speed_mm_s)
+        rpm = self.rpm(speed_mm_s or self.speed_mm_s)
         cruise_s = abs(distance_mm) * 60.0 / (rpm * self.lead_mm)
         ramps_s = (self.acceleration_ms + self.deceleration_ms) / 1000.0 * rpm / 1000.0
         return cruise_s + ramps_s + self.settle_s + self.slack_s
@@ -229,9 +230,21 @@ class LeadshineStage:
         self._must_be_homed()
         self._must_be_ready()
         self._must_be_homed()  # the drive may have said otherwise
-        timeout_s = self._settings.move_s(position - self._position_mm())
+        return self._travel(position, self._settings.speed_mm_s, pause)
+
+    def jog_to(self, position: float, pause: Pause) -> AxisState:
+        """Move slowly; unhomed by a millimetre at most, in the drive's own count."""
+        self._must_be_inside(position)
+        self._must_be_ready()
+        if not self._homed and abs(position - self._position_mm()) > _UNHOMED_JOG_MM:
+            raise Refused(f"{self._name}: not homed; it jogs at most {_UNHOMED_JOG_MM:g} mm")
+        speed_mm_s = min(self._settings.homing.slow_mm_s, self._settings.speed_mm_s)
+        return self._travel(position, speed_mm_s, pause)
+
+    def _travel(self, position: float, speed_mm_s: float, pause: Pause) -> AxisState:
+        timeout_s = self._settings.move_s(position - self._position_mm(), speed_mm_s)
         with unless_done(self._give_up):
-            lost = self._start(self._settings.path_to(position))
+            lost = self._start(self._settings.path_to(position, speed_mm_s))
             watch = self._watch(Status.PATH_COMPLETE)
             status = self._wait(watch, f"the move to {position:.3f} mm", timeout_s, pause)
             state = self._state_of(status)
