@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from typing import Protocol
 
-from acquisition.motion_settings import ReadBack, ZaberStage, ZaberTable
+from acquisition.motion_settings import AzStage, AzTable, ReadBack, ZaberStage, ZaberTable
 from acquisition.station import (
     GrblTable,
     LeadshineModel,
@@ -19,7 +19,7 @@ from acquisition.station import (
     TableSettings,
     TableZero,
 )
-from drivers import grbl, leadshine, zaber
+from drivers import grbl, leadshine, oriental, zaber
 from drivers.axis import Axis, Kind
 from drivers.bus import Bus
 from drivers.links import ByteLink
@@ -62,6 +62,11 @@ def table_maker(table: TableSettings) -> Callable[[Wires], Axis]:
         case ZaberTable():
             device = zaber_table_settings(table)
             return lambda at: zaber.ZaberAxis(at.chain(table.address), device)
+        case AzTable():
+            drive = az_table_settings(table)
+            return lambda at: oriental.AzAxis(
+                at.bus(table.address), table.device_id, drive, clock=at.clock
+            )
 
 
 def stage_maker(stage: StageSettings) -> Callable[[Wires], Axis]:
@@ -75,6 +80,11 @@ def stage_maker(stage: StageSettings) -> Callable[[Wires], Axis]:
         case ZaberStage():
             device = zaber_stage_settings(stage)
             return lambda at: zaber.ZaberAxis(at.chain(stage.address), device)
+        case AzStage():
+            az = az_stage_settings(stage)
+            return lambda at: oriental.AzAxis(
+                at.bus(stage.address), stage.device_id, az, clock=at.clock
+            )
 
 
 def grbl_settings(table: GrblTable) -> grbl.Settings:
@@ -152,4 +162,37 @@ def zaber_stage_settings(stage: ZaberStage) -> zaber.Settings:
         home_position=stage.home_position_mm,
         encoder=stage.read_back is ReadBack.ENCODER,
         serial=stage.serial,
+    )
+
+
+def az_table_settings(table: AzTable) -> oriental.Settings:
+    """Degrees of the file to radians of the driver."""
+    return oriental.Settings(
+        name="table",
+        kind=Kind.ROTARY,
+        steps_per_unit=table.steps_per_deg,
+        steps_per_rev=table.steps_per_turn,
+        lower=math.radians(table.lowest_deg) - _ROUNDING_RAD,
+        upper=math.radians(table.highest_deg) + _ROUNDING_RAD,
+        speed=math.radians(table.speed_deg_s),
+        acceleration=math.radians(table.acceleration_deg_s2),
+        tolerance=math.radians(table.tolerance_deg),
+        home_position=math.radians(table.zero_deg),
+        turning=oriental.Turning[table.turning.name],
+    )
+
+
+def az_stage_settings(stage: AzStage) -> oriental.Settings:
+    """The file's stage as the driver's."""
+    return oriental.Settings(
+        name="stage",
+        kind=Kind.LINEAR,
+        steps_per_unit=stage.steps_per_mm,
+        steps_per_rev=stage.steps_per_turn,
+        lower=stage.lowest_mm,
+        upper=stage.highest_mm,
+        speed=stage.speed_mm_s,
+        acceleration=stage.acceleration_mm_s2,
+        tolerance=stage.tolerance_mm,
+        home_position=stage.home_position_mm,
     )

@@ -18,6 +18,11 @@ _ZABER_PORT = Key(
     starts=("serial://", "tcp://"),
     parse=parse_address,
 )
+_MODBUS = Key(
+    "the bus the drive is on; drives with one address share it",
+    starts=("serial://", "tcp://"),
+    parse=parse_address,
+)
 
 
 class ReadBack(Enum):
@@ -67,6 +72,64 @@ class ZaberStage:
     speed_mm_s: Annotated[float, Key("of moves", above=0.0)]
     tolerance_mm: Annotated[float, Key("largest error of a position read back", above=0.0)] = 0.02
     home_position_mm: Annotated[float, Key("what the position is called where homing ends")] = 0.0
+    lowest_mm: Annotated[float, Key("soft limit: no move goes below")]
+    highest_mm: Annotated[float, Key("soft limit: no move goes above")]
+
+    def __post_init__(self) -> None:
+        in_order("mm", self.lowest_mm, self.highest_mm)
+
+
+class TableTurning(Enum):
+    """How an AZ drive takes a table to an angle."""
+
+    UNWRAPPED = "unwrapped"  # back the way it came
+    WRAP_ABSOLUTE = "wrap absolute"  # never over the border of the drive's turn
+    WRAP_PROXIMITY = "wrap proximity"  # the shorter way round
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AzTable:
+    """A turntable on an AZ drive of Oriental Motor over Modbus RTU."""
+
+    SELECTOR: ClassVar = "family"
+    family: ClassVar = "oriental"
+    backlash_deg: ClassVar = 0.0
+    address: Annotated[str, _MODBUS]
+    device_id: Annotated[int, Key("the drive's Modbus id", at_least=1, at_most=31)] = 1
+    steps_per_deg: Annotated[float, Key("of the table", above=0.0)]
+    steps_per_turn: Annotated[
+        int, Key("of the motor: 1000 x gear B / gear A, as set in the drive", at_least=1)
+    ] = 1000
+    turning: Annotated[TableTurning, Key("unwrapped, wrap absolute or wrap proximity")] = (
+        TableTurning.UNWRAPPED
+    )
+    speed_deg_s: Annotated[float, Key("of moves", above=0.0)]
+    acceleration_deg_s2: Annotated[float, Key("of moves, up and down", above=0.0)]
+    tolerance_deg: Annotated[float, Key("largest error of a position read back", above=0.0)] = 0.02
+    zero_deg: Annotated[float, Key("what the position is called at the drive's home")] = 0.0
+    lowest_deg: Annotated[float, Key("soft limit: no move goes below")]
+    highest_deg: Annotated[float, Key("soft limit: no move goes above; ten turns are 3600")]
+
+    def __post_init__(self) -> None:
+        in_order("deg", self.lowest_deg, self.highest_deg)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AzStage:
+    """A linear stage on an AZ drive of Oriental Motor over Modbus RTU."""
+
+    SELECTOR: ClassVar = "family"
+    family: ClassVar = "oriental"
+    address: Annotated[str, _MODBUS]
+    device_id: Annotated[int, Key("the drive's Modbus id", at_least=1, at_most=31)] = 1
+    steps_per_mm: Annotated[float, Key("of travel", above=0.0)]
+    steps_per_turn: Annotated[
+        int, Key("of the motor: 1000 x gear B / gear A, as set in the drive", at_least=1)
+    ] = 1000
+    speed_mm_s: Annotated[float, Key("of moves", above=0.0)]
+    acceleration_mm_s2: Annotated[float, Key("of moves, up and down", above=0.0)]
+    tolerance_mm: Annotated[float, Key("largest error of a position read back", above=0.0)] = 0.02
+    home_position_mm: Annotated[float, Key("what the position is called at the drive's home")] = 0.0
     lowest_mm: Annotated[float, Key("soft limit: no move goes below")]
     highest_mm: Annotated[float, Key("soft limit: no move goes above")]
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, ClassVar
 
 from acquisition.frames import Kinematics
-from acquisition.motion_settings import ZaberStage, ZaberTable
+from acquisition.motion_settings import AzStage, AzTable, ZaberStage, ZaberTable
 from acquisition.settings import Key, commented_toml, parse_settings, read_settings
 from drivers.addresses import parse_address
 
@@ -204,8 +204,8 @@ class NoLaserSwitch:
     switch: ClassVar = "none"
 
 
-TableSettings = GrblTable | ZaberTable
-StageSettings = LeadshineStage | ZaberStage
+TableSettings = GrblTable | ZaberTable | AzTable
+StageSettings = LeadshineStage | ZaberStage | AzStage
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

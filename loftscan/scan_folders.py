@@ -30,6 +30,7 @@ _MEANING = (
     *("kinematics", "table.letter", "table.steps_per_deg", "table.zero", "table.zero_deg"),
     *("table.family", "table.microsteps_per_deg"),
     *("stage.family", "stage.pulses_per_turn", "stage.screw_lead_mm", "stage.microsteps_per_mm"),
+    *("table.turning", "stage.steps_per_mm"),
     *("stage.home_mark", "stage.home_way", "stage.home_position_mm"),
 )
 

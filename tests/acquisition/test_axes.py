@@ -8,10 +8,23 @@ from dataclasses import replace
 
 import pytest
 
-from acquisition.axes import zaber_stage_settings, zaber_table_settings
-from acquisition.motion_settings import ReadBack, ZaberStage, ZaberTable
+from acquisition.axes import (
+    az_stage_settings,
+    az_table_settings,
+    zaber_stage_settings,
+    zaber_table_settings,
+)
+from acquisition.motion_settings import (
+    AzStage,
+    AzTable,
+    ReadBack,
+    TableTurning,
+    ZaberStage,
+    ZaberTable,
+)
 from acquisition.opening import open_station
 from acquisition.station import parse_station, write_station
+from drivers import oriental
 from drivers.links import ByteLink
 from sim.motion import Limits
 from sim.zaber import ZaberChain, ZaberDevice
@@ -49,6 +62,28 @@ def test_the_files_zaber_axes_are_the_drivers() -> None:
     assert (table.device, table.encoder, table.microsteps_per_unit) == (2, True, 711.0)
     assert (stage.lower, stage.upper, stage.home_position) == (0.0, 100.0, -3.0)
     assert (stage.serial, stage.encoder, stage.device) == ("33001", False, 1)
+
+
+AZ_TABLE = AzTable(
+    address="serial:///dev/ttyUSB8?parity=E", device_id=3, steps_per_deg=100.0,
+    turning=TableTurning.WRAP_PROXIMITY, speed_deg_s=90.0, acceleration_deg_s2=360.0, zero_deg=45.0,
+    lowest_deg=-10.0, highest_deg=370.0,
+)  # fmt: skip
+AZ_STAGE = AzStage(
+    address="serial:///dev/ttyUSB8?parity=E", device_id=4, steps_per_mm=200.0, speed_mm_s=20.0,
+    acceleration_mm_s2=100.0, home_position_mm=-3.0, lowest_mm=0.0, highest_mm=100.0,
+)  # fmt: skip
+
+
+def test_a_station_of_az_axes_is_written_and_read_back_and_means_what_it_says() -> None:
+    station = replace(STATION, table=AZ_TABLE, stage=AZ_STAGE)
+    assert parse_station(write_station(station)) == station
+    table, stage = az_table_settings(AZ_TABLE), az_stage_settings(AZ_STAGE)
+    assert (table.speed_hz, table.rate, table.turn_steps) == (9000, 36_000, 36_000)
+    assert table.turning is oriental.Turning.WRAP_PROXIMITY
+    assert table.home_position == pytest.approx(math.tau / 8)
+    assert (stage.speed_hz, stage.rate, stage.home_position) == (4000, 20_000, -3.0)
+    assert (stage.lower, stage.upper) == (0.0, 100.0)
 
 
 def test_two_axes_on_one_zaber_chain_have_one_holder_of_the_port() -> None:
