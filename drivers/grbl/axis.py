@@ -40,12 +40,14 @@ from drivers.grbl.conversation import (
     rests,
 )
 from drivers.grbl.messages import Error, State, Status, error_name, error_remedy
+from drivers.grbl.reference import PinSearch, Sighting, travel_of
 from drivers.grbl.settings import Homing, Settings
 from drivers.grbl.wire import FENCE, Realtime, feed_move, jog
 from drivers.links import ByteLink
 
 _STOP_POLL_S: Final = 0.05
 _PLANNER_S: Final = 0.1  # idle for so long somewhere else, a move is over and not yet to begin
+_PRINTED: Final = 0.0005  # half of a report's last digit
 _UNHOMED_JOG: Final = 1.0  # degree or mm, from where the axis stands
 
 
@@ -128,12 +130,44 @@ class GrblAxis:
         self._settings.check_limits(position)
         if not self._homed:
             raise Refused(f"{self._name}: not homed; home it first")
+        self._check_travel(position)
         return self._travel(self._settings.to_wire(position), _Doing.FEED, pause)
 
     def jog_to(self, position: float, pause: Pause) -> AxisState:
         """Move by a jog: cancelled by one byte, refused beyond the controller's own travel."""
         self._settings.check_limits(position)
         return self._travel(self._settings.to_wire(position), _Doing.JOG, pause)
+
+    def check_reference(self, pause: Pause, *, turns: int = 0) -> float:
+        """Look where the home switch is now; how far from where it must be, in the axis's unit.
+
+        The controller counts the steps that it sends. That they were made, and that a unit has as
+        many of them as everybody says, only the switch knows: it is approached from the place of
+        home, or `turns` whole turns of a table away from it.
+
+        Raises
+        ------
+        Refused
+            Off by more than the axis tolerates: "homed" is lost. Or it cannot be looked for:
+            software zero, or limits switched on in the controller.
+        """
+        self._settings.check_turns(turns)
+        place = self._settings.home_position + turns * math.tau
+        self.move_to(place, pause)
+        search = PinSearch.of(self._talk, self._index(), self._settings)
+        with self._stopped_unless_done(_Doing.JOG):
+            found = self._creep(search, self._settings.to_wire(place) + self._zero, pause)
+        self.stop()
+        off = search.off(found)
+        if abs(off) > self._tolerance():
+            self._homed_at = None
+            raise Refused(
+                f"{self._name}: the home switch is {search.words(off)} {self._settings.unit} from"
+                f" its place, tolerated {self._tolerance():.3f}; steps were lost, or"
+                f" ${100 + self._index()} is wrong; remove the cause, then home"
+            )
+        self.move_to(place, pause)
+        return self._settings.from_wire(off)
 
     def stop(self) -> None:
         """Stop, gently if the controller can, else by a reset that loses the position.
@@ -185,6 +219,19 @@ class GrblAxis:
         if self._homed:
             self._settings.check_limits(self._settings.from_wire(before))
         return [before, target]
+
+    def _check_travel(self, position: float) -> None:
+        """Refuse what the controller's own soft limits would answer with ALARM:2."""
+        window = travel_of(self._talk, self._index())
+        if window is None or self._settings.homing is not Homing.SWITCH:
+            return
+        machine = self._settings.to_wire(position) + self._zero
+        if not window[0] - _PRINTED <= machine <= window[1] + _PRINTED:
+            raise Refused(
+                f"{self._name}: {machine:.3f} {self._settings.unit} of the controller is outside"
+                f" its own travel {window[0]:g} to {window[1]:g}; raise ${130 + self._index()},"
+                " or set $20=0"
+            )
 
     def _leg(self, here: float, target: float, doing: _Doing, pause: Pause) -> Status:
         """Send one move, once, and see it end where it should."""
@@ -260,6 +307,21 @@ class GrblAxis:
             f"{self._name}: stands at {here:.3f} {unit}, {abs(here - target):.3f} from"
             f" {target:.3f}, tolerated {self._tolerance():.3f}; check the line, then home"
         )
+
+    def _creep(self, search: PinSearch, start: float, pause: Pause) -> Sighting:
+        """Jog slowly towards the switch; between which two reports it closed."""
+        letter = self._settings.letter
+        status = self._talk.status(pause)
+        sighting = search.begin(start, self._machine(status), letter in status.pins)
+        self._talk.exchange(jog(letter, search.end(start), search.feed_per_min), pause)
+        upsets, still = self._talk.dialogue.upsets, 0
+        while not sighting.pressed and still < 2:
+            self._talk.until(lambda: False, self._settings.poll_s, pause)
+            status = self._talk.status(pause)
+            self._check_moving(status, upsets)
+            sighting = sighting.seen(self._machine(status), letter in status.pins)
+            still = still + 1 if status.state is State.IDLE else 0
+        return sighting
 
     # --- homing ------------------------------------------------------------------------------
 

@@ -199,7 +199,7 @@ class GrblBoard:
         if counted is not None:
             self._stepper.redefine(counted, self._now_s)
         self._start_afresh(self._position_deg())
-        self._say(reports.BANNER)
+        self._say(reports.HAL_BANNER if self._settings.hal else reports.BANNER)
         if self._eeprom[_HARD_LIMITS] and self._limit_pin():
             self._cycle.state = State.ALARM
             self._say(reports.CHECK_LIMITS)
@@ -278,7 +278,7 @@ class GrblBoard:
             parser, form = self._parser, self._format()
             self._say(*reports.parameters(self._eeprom.offsets_deg, parser.g92_deg, form))
         elif command == "I":
-            self._say(*reports.build_info(self._settings.axes, BLOCKS))
+            self._say(*reports.build_info(self._settings.axes, BLOCKS, hal=self._settings.hal))
         else:
             self._say("$N0=", "$N1=")
 
