@@ -59,6 +59,7 @@ class HomeMark(Enum):
     HOME_SWITCH = "home switch"
     INDEX_PULSE = "index pulse"
     TORQUE = "torque"
+    HERE = "here"  # nothing: where it stands when it is homed
 
 
 class HomeWay(Enum):
@@ -125,7 +126,7 @@ class LeadshineStage:
     pulses_per_turn: Annotated[int, Key("as set in the drive", at_least=200, at_most=51200)]
     screw_lead_mm: Annotated[float, Key("travel of one turn of the motor", above=0.0)]
     speed_mm_s: Annotated[float, Key("of moves", above=0.0)]
-    home_mark: Annotated[HomeMark, Key("limit switch, home switch, index pulse or torque")] = (
+    home_mark: Annotated[HomeMark, Key("limit switch, home switch, index pulse, torque, here")] = (
         HomeMark.LIMIT_SWITCH
     )
     home_way: Annotated[HomeWay, Key("negative or positive: where it looks first")] = HomeWay.DOWN

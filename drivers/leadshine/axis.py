@@ -24,6 +24,7 @@ from drivers.endings import unless_done
 from drivers.errors import DriverError, FrameError, LinkLost, NoReply, Refused
 from drivers.leadshine.registers import (
     DAMAGED_REQUEST,
+    LIMITED,
     RESET_ALARM,
     HomeSearch,
     HomingMethod,
@@ -37,6 +38,7 @@ from drivers.leadshine.registers import (
     Trigger,
     Watch,
     alarm_name,
+    alarm_remedy,
     homing_block,
     path_block,
     value_of,
@@ -59,6 +61,8 @@ class Homing:
     fast_mm_s: float
     slow_mm_s: float
     reference_mm: float = 0.0  # what the position is called there
+    torque_ms: int = 100  # against a stop: the current that ends the search, and for how long
+    torque_percent: int = 50
     creep_mm: float = 10.0  # at most this far at the slow speed; the deadline needs it
 
 
@@ -131,6 +135,8 @@ class StageSettings:
             slow_rpm=self.rpm(self.homing.slow_mm_s),
             acceleration_ms=self.acceleration_ms,
             deceleration_ms=self.deceleration_ms,
+            torque_ms=self.homing.torque_ms,
+            torque_percent=self.homing.torque_percent,
         )
 
     def move_s(self, distance_mm: float, speed_mm_s: float | None = None) -> float:
@@ -188,12 +194,13 @@ class LeadshineStage:
         }
         loop = loops.get(mode, f"loop mode {mode}")
         pulses = self._read(Register.PULSES_PER_REV)
+        way = ", reversed" if self._read_if_there(Register.DIRECTION) == 1 else ""
         versions = (
             f"{register.name.lower()} 0x{value:04X}"
             for register in (Register.VERSION, Register.FIRMWARE)
             if (value := self._read_if_there(register)) is not None
         )
-        model = f"{self._settings.model.value}, {loop}, {pulses} pulses/rev"
+        model = f"{self._settings.model.value}, {loop}, {pulses} pulses/rev{way}"
         return Identity(_FAMILY, model, " ".join(versions))
 
     def state(self) -> AxisState:
@@ -207,6 +214,7 @@ class LeadshineStage:
         self._homed = False
         timeout_s = self._settings.homing_s()
         with unless_done(self._give_up):
+            self._lift_limits()
             self._write(Register.HOMING, homing_block(self._settings.home_search()))
             self._homing = True
             # Never re-sent either: a lost answer shows in the status, as a lost request does.
@@ -217,10 +225,12 @@ class LeadshineStage:
             # The bit may be of the previous homing: without a start it proves nothing.
             if not (watch.started and Status.HOMED in status):
                 raise Refused(
-                    f"{self._name}: homing found no reference, the drive stands; "
-                    "check the switch, its input and the direction of the search"
+                    f"{self._name}: homing found no reference, the drive stands"
+                    f"{self._inputs_closed()}; check the switch, its input and the direction of"
+                    " the search"
                 )
             self._homing = False
+            self._set_limits()
             self._homed = True
             return self._state_of(status)
 
@@ -236,6 +246,7 @@ class LeadshineStage:
         """Move slowly; unhomed by a millimetre at most, in the drive's own count."""
         self._must_be_inside(position)
         self._must_be_ready()
+        self._must_have_the_scale()
         if not self._homed and abs(position - self._position_mm()) > _UNHOMED_JOG_MM:
             raise Refused(f"{self._name}: not homed; it jogs at most {_UNHOMED_JOG_MM:g} mm")
         speed_mm_s = min(self._settings.homing.slow_mm_s, self._settings.speed_mm_s)
@@ -308,6 +319,21 @@ class LeadshineStage:
         except DriverError as failed:
             raise Refused(f"{self._name}: the stop failed: {failed}") from failed
 
+    def _lift_limits(self) -> None:
+        """The drive's own limits are in a count that homing is about to change."""
+        flags = self._read_if_there(Register.PATHS)
+        if flags is not None and flags & LIMITED:
+            self._write_one(Register.PATHS, flags & ~LIMITED)
+
+    def _set_limits(self) -> None:
+        """Have the drive mind the soft limits, too; nothing is saved in it."""
+        flags = self._read_if_there(Register.PATHS)
+        if flags is not None:
+            ends = (self._settings.high_mm, self._settings.low_mm)
+            words = [word for end in ends for word in words_of(self._settings.counts(end))]
+            self._write(Register.SOFT_LIMITS, words)
+            self._write_one(Register.PATHS, flags | LIMITED)
+
     def _must_be_inside(self, position_mm: float) -> None:
         low_mm, high_mm = self._settings.low_mm, self._settings.high_mm
         if not math.isfinite(position_mm):
@@ -333,7 +359,7 @@ class LeadshineStage:
             code = self._read(Register.ALARM)
             raise Refused(
                 f"{self._name}: alarm {alarm_name(self._settings.model, code)}; "
-                "remove the cause, clear the alarm, home again",
+                f"{alarm_remedy(self._settings.model, code)}, clear the alarm, home again",
                 code=code,
             )
         if Status.ENABLED not in status:
@@ -395,6 +421,14 @@ class LeadshineStage:
             if refused.code not in _NOT_THERE:
                 raise
             return None
+
+    def _inputs_closed(self) -> str:
+        """Which inputs are closed, for a message; empty where the drive does not tell."""
+        word = self._read_if_there(Register.INPUTS)
+        if word is None:
+            return ""
+        closed = [f"SI{k + 1}" for k in range(7) if word >> k & 1]
+        return f", inputs closed: {', '.join(closed) or 'none'}"
 
     def _write_one(self, register: Register, value: int) -> None:
         with self._on_the_bus():
