@@ -392,12 +392,19 @@ class GrblAxis:
             self._open(pause)
         if self._talk.dialogue.fenced:
             return
-        try:
-            self._talk.exchange(FENCE, pause)
-        except NoReply:  # a torn line swallowed it, or the controller is suspended
-            status = self._talk.status(pause)
-            if motion_of(status) is Motion.MOVING or not self._reset_held(status):
-                raise
+        lost: NoReply | None = None
+        if not self._talk.dialogue.mute:
+            try:
+                self._talk.exchange(FENCE, pause)
+            except NoReply as unanswered:  # a torn line swallowed it, or it is suspended
+                lost = unanswered
+            else:
+                return
+        status = self._talk.status(pause)
+        if motion_of(status) is Motion.MOVING or not self._reset_held(status):
+            raise NoReply(
+                f"{self._name}: does not answer lines any more; stop it, then home"
+            ) from lost
 
     def _open(self, pause: Pause | None) -> Identity:
         """Handshake that needs no banner: an open port may have swallowed it."""
