@@ -24,30 +24,23 @@ from drivers.axis import AxisState, Identity, Kind, Motion, Pause
 from drivers.endings import unless_done
 from drivers.errors import NoReply, Refused
 from drivers.grbl.conversation import (
-    ANSWER_S,
     BANNER_S,
     QUIET_S,
-    REPORT_S,
     Conversation,
-    Lines,
     axis_index,
     homing_s,
     identity_of,
-    is_held,
     machine_coordinate,
     motion_of,
-    place_of,
-    rests,
 )
 from drivers.grbl.messages import Error, State, Status, error_name, error_remedy
-from drivers.grbl.reference import PinSearch, Sighting, travel_of
+from drivers.grbl.reference import PinSearch, check_travel
 from drivers.grbl.settings import Homing, Settings
+from drivers.grbl.stopping import Rest, come_to_rest, reset_held
 from drivers.grbl.wire import FENCE, Realtime, feed_move, jog
 from drivers.links import ByteLink
 
-_STOP_POLL_S: Final = 0.05
 _PLANNER_S: Final = 0.1  # idle for so long somewhere else, a move is over and not yet to begin
-_PRINTED: Final = 0.0005  # half of a report's last digit
 _UNHOMED_JOG: Final = 1.0  # degree or mm, from where the axis stands
 
 
@@ -66,7 +59,6 @@ _ENDING: Final = {
     _Doing.FEED: Realtime.HOLD,
     _Doing.HOMING: Realtime.RESET,  # the homing loop hears nothing else
 }
-_ENDING_OF: Final = {State.RUN: Realtime.HOLD, State.JOG: Realtime.JOG_CANCEL}
 
 
 class GrblAxis:
@@ -130,7 +122,7 @@ class GrblAxis:
         self._settings.check_limits(position)
         if not self._homed:
             raise Refused(f"{self._name}: not homed; home it first")
-        self._check_travel(position)
+        check_travel(self._talk, self._index(), self._settings, position, self._zero)
         return self._travel(self._settings.to_wire(position), _Doing.FEED, pause)
 
     def jog_to(self, position: float, pause: Pause) -> AxisState:
@@ -155,17 +147,13 @@ class GrblAxis:
         place = self._settings.home_position + turns * math.tau
         self.move_to(place, pause)
         search = PinSearch.of(self._talk, self._index(), self._settings)
+        start = self._settings.to_wire(place) + self._zero
         with self._stopped_unless_done(_Doing.JOG):
-            found = self._creep(search, self._settings.to_wire(place) + self._zero, pause)
+            off = search.off(search.creep(start, pause))
         self.stop()
-        off = search.off(found)
         if abs(off) > self._tolerance():
             self._homed_at = None
-            raise Refused(
-                f"{self._name}: the home switch is {search.words(off)} {self._settings.unit} from"
-                f" its place, tolerated {self._tolerance():.3f}; steps were lost, or"
-                f" ${100 + self._index()} is wrong; remove the cause, then home"
-            )
+            raise search.refusal(off)
         self.move_to(place, pause)
         return self._settings.from_wire(off)
 
@@ -183,7 +171,9 @@ class GrblAxis:
         """
         doing, self._doing = self._doing, _Doing.NOTHING
         self._taken_up = False
-        if doing is not _Doing.HOMING and self._comes_to_rest(_ENDING[doing]):
+        if doing is not _Doing.HOMING and self._rested(
+            come_to_rest(self._talk, _ENDING[doing], 2 * self._braking_s() + 1.0)
+        ):
             if doing is _Doing.JOG:
                 self._talk.dialogue.give_up()  # asks whether lines are heard before the next
             return
@@ -219,19 +209,6 @@ class GrblAxis:
         if self._homed:
             self._settings.check_limits(self._settings.from_wire(before))
         return [before, target]
-
-    def _check_travel(self, position: float) -> None:
-        """Refuse what the controller's own soft limits would answer with ALARM:2."""
-        window = travel_of(self._talk, self._index())
-        if window is None or self._settings.homing is not Homing.SWITCH:
-            return
-        machine = self._settings.to_wire(position) + self._zero
-        if not window[0] - _PRINTED <= machine <= window[1] + _PRINTED:
-            raise Refused(
-                f"{self._name}: {machine:.3f} {self._settings.unit} of the controller is outside"
-                f" its own travel {window[0]:g} to {window[1]:g}; raise ${130 + self._index()},"
-                " or set $20=0"
-            )
 
     def _leg(self, here: float, target: float, doing: _Doing, pause: Pause) -> Status:
         """Send one move, once, and see it end where it should."""
@@ -308,21 +285,6 @@ class GrblAxis:
             f" {target:.3f}, tolerated {self._tolerance():.3f}; check the line, then home"
         )
 
-    def _creep(self, search: PinSearch, start: float, pause: Pause) -> Sighting:
-        """Jog slowly towards the switch; between which two reports it closed."""
-        letter = self._settings.letter
-        status = self._talk.status(pause)
-        sighting = search.begin(start, self._machine(status), letter in status.pins)
-        self._talk.exchange(jog(letter, search.end(start), search.feed_per_min), pause)
-        upsets, still = self._talk.dialogue.upsets, 0
-        while not sighting.pressed and still < 2:
-            self._talk.until(lambda: False, self._settings.poll_s, pause)
-            status = self._talk.status(pause)
-            self._check_moving(status, upsets)
-            sighting = sighting.seen(self._machine(status), letter in status.pins)
-            still = still + 1 if status.state is State.IDLE else 0
-        return sighting
-
     # --- homing ------------------------------------------------------------------------------
 
     def _unlock(self, pause: Pause) -> None:
@@ -342,45 +304,11 @@ class GrblAxis:
 
     # --- stopping ----------------------------------------------------------------------------
 
-    def _comes_to_rest(self, ending: Realtime) -> bool:
-        """Say `ending`, watch until the controller stands with no line left.
-
-        It is said again only for a line that had not been answered at the time: a jog cancel that
-        arrives just after the jog's end leaves Grbl 1.1h suspended, idle and deaf to lines.
-        """
-        deadline_s = self._talk.clock() + 2 * self._braking_s() + 1.0
-        said = self._say(ending)
-        before: Status | None = None
-        while self._talk.clock() < deadline_s and not self._talk.dialogue.locked:
-            status = self._talk.report(None, within_s=2 * _STOP_POLL_S)
-            if status is not None:
-                if is_held(status):
-                    return self._reset_held(status)
-                if status.state is State.HOME:
-                    return False
-                due = _ENDING_OF.get(status.state)
-                if due is not None and said != (due, Lines.ANSWERED):
-                    said = self._say(due)
-                elif before is not None and rests(before, status):
-                    # A line that was not answered could still start: a reset drops it.
-                    return self._talk.lines is Lines.ANSWERED or self._reset_held(status)
-                before = status
-            self._talk.until(lambda: False, _STOP_POLL_S, None)
-        return self._talk.dialogue.locked
-
-    def _say(self, ending: Realtime) -> tuple[Realtime, Lines]:
-        lines = self._talk.lines
-        self._talk.write(ending.wire)
-        return ending, lines
-
-    def _reset_held(self, held: Status) -> bool:
-        """Reset where nothing moves: lines and queue are dropped, the position is kept."""
-        if not self._talk.reset(None, within_s=ANSWER_S):
-            return False
-        after = self._talk.report(None, within_s=REPORT_S)
-        if after is None or place_of(after) != place_of(held):
+    def _rested(self, rest: Rest) -> bool:
+        """Whether it stands; forgets "homed" where the place was not kept."""
+        if not rest.kept:
             self._homed_at = None
-        return True
+        return rest.done
 
     # --- asking ------------------------------------------------------------------------------
 
@@ -401,7 +329,7 @@ class GrblAxis:
             else:
                 return
         status = self._talk.status(pause)
-        if motion_of(status) is Motion.MOVING or not self._reset_held(status):
+        if motion_of(status) is Motion.MOVING or not self._rested(reset_held(self._talk, status)):
             raise NoReply(
                 f"{self._name}: does not answer lines any more; stop it, then home"
             ) from lost

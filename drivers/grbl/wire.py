@@ -178,7 +178,7 @@ class Dialogue:
     was given up as lost, the next line must be a fence: `$G` prints ``[GC:..]`` before its own ok,
     so that whatever comes before it is a late answer, and a torn line still lying in the board's
     buffer becomes an error instead of a motion. A fence given up in its turn could be taken for the
-    next one: then the dialogue is mute, and only a reset, after which the board owes nothing, helps.
+            A line is outstanding; it is mute; the last answer was given up and this is no fence.
     """
 
     decoder: LineDecoder = field(default_factory=LineDecoder)
