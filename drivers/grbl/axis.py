@@ -28,6 +28,7 @@ from drivers.grbl.conversation import (
     QUIET_S,
     Conversation,
     axis_index,
+    homing_line,
     homing_s,
     identity_of,
     machine_coordinate,
@@ -300,7 +301,8 @@ class GrblAxis:
         if not int(self._talk.setting(22)) & 1:  # grblHAL: a mask, bit 0 enables
             raise Refused(f"{self._name}: {error_name(5)}; {error_remedy(5)}", code=5)
         with self._stopped_unless_done(_Doing.HOMING):
-            self._talk.exchange("$H", pause, within_s=homing_s(self._talk))
+            line = homing_line(self._talk, self._settings.letter)
+            self._talk.exchange(line, pause, within_s=homing_s(self._talk))
 
     # --- stopping ----------------------------------------------------------------------------
 

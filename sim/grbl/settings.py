@@ -146,7 +146,7 @@ class Eeprom:
             raise Refusal(Error.STEP_PULSE_TOO_SHORT)
         if value == 0.0 and number in self._divisors:  # the firmware takes it, and is lost
             raise Refusal(Error.INVALID_STATEMENT)
-        if number in _FLAGS:
+        if number in _FLAGS and not (self._hal and number == _HOMING):  # there it is a mask
             value = float(int(value) != 0)
         if number == _SOFT_LIMITS and value and not self._values[_HOMING]:
             raise Refusal(Error.SOFT_LIMITS_NEED_HOMING)

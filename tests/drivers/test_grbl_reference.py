@@ -127,3 +127,18 @@ def test_what_grblhal_adds_has_names() -> None:
     assert error_name(53) == "error:53 (setting not available)"
     assert alarm_name(17) == "ALARM:17 (motor fault)"
     assert parsed("[NVS STORAGE:*EEPROM]") == Feedback("NVS STORAGE", "*EEPROM")
+
+
+@pytest.mark.parametrize(("mask", "line"), [(1, b"$H\n"), (3, b"$HA\n")])
+def test_grblhal_homes_the_axis_alone_where_that_is_allowed(mask, line) -> None:
+    bench = Bench(GrblSettings(letter="A", hal=True), replace(WATCHED, letter="A"))
+    bench.set(b"$22=%d" % mask)
+    assert bench.table.home(bench.pause).homed
+    assert line in b"".join(bench.heard)
+
+
+def test_a_firmware_before_1_1_is_refused() -> None:
+    bench = Bench()
+    bench.board._tell = lambda _: bench.board._say("[VER:0.9j.20160303:]")  # type: ignore[method-assign]
+    with pytest.raises(Refused, match=r"firmware 0\.9j\.20160303"):
+        bench.table.identify()
