@@ -697,6 +697,25 @@ def test_init_refuses_what_no_station_can_have(place: Path, options: list[str], 
     assert not Path("station.toml").exists()
 
 
+@pytest.mark.parametrize(
+    ("table", "stage"), [("zaber", "zaber"), ("oriental", "leadshine"), ("grbl", "oriental")]
+)
+def test_init_writes_a_station_of_these_families(place: Path, table: str, stage: str) -> None:
+    succeeded(run("init", "--table-family", table, "--stage-family", stage, "--plan", "plan.toml"))
+    written = read_station(Path("station.toml"))
+    assert (written.table.family, written.stage.family) == (table, stage)
+    assert "PLACEHOLDER" in Path("station.toml").read_text()
+
+
+def test_init_refuses_families_that_it_does_not_know_and_keys_that_are_not_theirs(
+    place: Path,
+) -> None:
+    said = complaint(run("init", "--table-family", "abacus"), 2)
+    assert said.startswith("--table-family: 'abacus' is not known; write grbl or zaber")
+    said = complaint(run("init", "--table-family", "zaber", "--steps-per-deg", 80), 2)
+    assert "table.steps_per_deg: unknown key" in said
+
+
 def test_init_asks_on_a_terminal_and_asks_again_for_what_it_cannot_read(place: Path) -> None:
     ours, theirs = pty.openpty()
     child = subprocess.Popen(
