@@ -87,3 +87,26 @@ def test_the_command_names_the_families_in_its_help() -> None:
     ).stdout  # fmt: skip
     assert "{grbl,grblhal,zaber,oriental}" in told
     assert "{leadshine,zaber,oriental}" in told
+
+
+def test_a_counted_tables_switch_is_looked_at_and_others_need_it_not() -> None:
+    with (
+        simulate(seed=SEED, scale=20.0) as station,
+        Station.open(station) as opened,
+    ):
+        opened.home()
+        opened.jog(table_deg=200.0)
+        for turns in (0, 1):
+            off_deg = opened.check_table(turns=turns)
+            assert off_deg is not None
+            assert abs(off_deg) <= 0.05
+        assert opened.stand().table.homed
+    with (
+        simulate(seed=SEED, scale=20.0, table="zaber") as station,
+        Station.open(station) as opened,
+    ):
+        assert opened.check_table() is None
+        before = opened.stand()
+        after = opened.jog_by(table_deg=0.5, stage_mm=0.5)  # nothing is homed
+        assert after.stage_mm - before.stage_mm == pytest.approx(0.5, abs=0.02)
+        assert after.table_deg - before.table_deg == pytest.approx(0.5, abs=0.02)
