@@ -12,27 +12,23 @@ Opening moves nothing, and asks only the laser's switch anything.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 
+from acquisition.axes import stage_maker, table_maker
 from acquisition.station import (
     BaumerOx,
-    GrblTable,
-    LeadshineModel,
-    LeadshineStage,
     NoLaserSwitch,
     OutputBy,
     RelayFamily,
     RelayLaser,
     Station,
-    TableZero,
 )
-from drivers import baumer_ox, grbl, leadshine, relay
+from drivers import baumer_ox, relay, zaber
 from drivers.addresses import SerialAddress, TcpAddress, UdpAddress, parse_address
-from drivers.axis import Axis, Identity, Kind
+from drivers.axis import Axis, Identity
 from drivers.endings import at_last, unless_done
 from drivers.laser import Guarantee, LaserSwitch
 from drivers.links import ByteLink, open_link
@@ -42,14 +38,8 @@ from drivers.profiler import Profiler
 Clock = Callable[[], float]
 Sleep = Callable[[float], None]
 
-# One degree written in two ways is two numbers: a stop at the very limit is inside it.
-_ROUNDING_RAD = 1e-9
 _REPLY_S = {Framing.RTU: 0.2, Framing.TCP: 0.5}  # a network's worst is worse than a cable's
 _SLOWEST_REPLY_S = {Framing.RTU: 0.3, Framing.TCP: 0.5}
-_MODELS = {
-    LeadshineModel.EM2RS: leadshine.Model.EM,
-    LeadshineModel.CS2RS: leadshine.Model.CS2RS,
-}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,8 +80,7 @@ def open_station(
     DriverError
         A device is not there or said no; names it.
     """
-    table_settings = grbl_settings(station.table)
-    stage_settings = leadshine_settings(station.stage)
+    make_table, make_stage = table_maker(station.table), stage_maker(station.stage)
     profiler_settings = baumer_ox_settings(station.profiler)
     with ExitStack() as endings:
         wires = _Wires(links, clock, sleep, endings)
@@ -99,10 +88,9 @@ def open_station(
         endings.enter_context(at_last(laser.off))
         laser.off()
         guarantee = laser.guarantee()
-        table = grbl.GrblAxis(wires.link(station.table.address), table_settings, clock=clock)
+        table = make_table(wires)
         endings.enter_context(at_last(table.stop))
-        bus = wires.bus(station.stage.address)
-        stage = leadshine.LeadshineStage(bus, station.stage.device_id, stage_settings, clock=clock)
+        stage = make_stage(wires)
         endings.enter_context(at_last(stage.stop))
         profiler = _profiler(station.profiler, profiler_settings, wires)
         endings.enter_context(at_last(laser.off))  # before the axes, which may take their time
@@ -115,46 +103,6 @@ def at_rest_unless_done(station: OpenStation) -> Iterator[None]:
     table, stage, laser = station.table, station.stage, station.laser
     with unless_done(table.stop), unless_done(stage.stop), unless_done(laser.off):
         yield
-
-
-def grbl_settings(table: GrblTable) -> grbl.Settings:
-    """Degrees of the file to radians of the driver."""
-    switch = table.zero is TableZero.SWITCH
-    return grbl.Settings(
-        name="table",
-        kind=Kind.ROTARY,
-        letter=table.letter.value,
-        steps_per_unit=table.steps_per_deg,
-        lower=math.radians(table.lowest_deg) - _ROUNDING_RAD,
-        upper=math.radians(table.highest_deg) + _ROUNDING_RAD,
-        speed=math.radians(table.speed_deg_s),
-        tolerance=math.radians(table.tolerance_deg),
-        homing=grbl.Homing.SWITCH if switch else grbl.Homing.SOFTWARE_ZERO,
-        home_position=math.radians(table.zero_deg),
-        backlash=math.radians(table.backlash_deg),
-    )
-
-
-def leadshine_settings(stage: LeadshineStage) -> leadshine.StageSettings:
-    """Names of the file to what the drive's registers mean by them."""
-    return leadshine.StageSettings(
-        model=_MODELS[stage.model],
-        pulses_per_rev=stage.pulses_per_turn,
-        lead_mm=stage.screw_lead_mm,
-        low_mm=stage.lowest_mm,
-        high_mm=stage.highest_mm,
-        speed_mm_s=stage.speed_mm_s,
-        tolerance_mm=stage.tolerance_mm,
-        homing=leadshine.Homing(
-            method=leadshine.HomingMethod[stage.home_mark.name],
-            sense=leadshine.HomingSense[stage.home_way.value.upper()],
-            fast_mm_s=stage.home_fast_mm_s,
-            slow_mm_s=stage.home_slow_mm_s,
-            reference_mm=stage.home_position_mm,
-        ),
-        acceleration_ms=stage.ramp_ms_per_1000_rpm,
-        deceleration_ms=stage.ramp_ms_per_1000_rpm,
-    )
 
 
 def baumer_ox_settings(profiler: BaumerOx) -> baumer_ox.Settings:
@@ -179,11 +127,19 @@ class _Wires:
         self._links = links
         self._endings = endings
         self._buses: dict[SerialAddress | TcpAddress | UdpAddress, ModbusBus] = {}
+        self._chains: dict[SerialAddress | TcpAddress | UdpAddress, zaber.Chain] = {}
 
     def link(self, address: str) -> ByteLink:
         link = self._links(address)
         self._endings.enter_context(at_last(link.close))
         return link
+
+    def chain(self, address: str) -> zaber.Chain:
+        """A chain of Zaber devices; both axes may be on one."""
+        place = replace(parse_address(address), text="")
+        if place not in self._chains:
+            self._chains[place] = zaber.Chain(self.link(address), clock=self.clock)
+        return self._chains[place]
 
     def bus(self, address: str) -> ModbusBus:
         """Modbus RTU on a serial port, Modbus TCP over TCP."""

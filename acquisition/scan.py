@@ -30,7 +30,7 @@ from acquisition.lease import LONGEST_WAIT_S, TTL_S, Lease, lasing, pausing
 from acquisition.opening import OpenStation, at_rest_unless_done
 from acquisition.plan import Plan, Target, check_plan, targets
 from acquisition.poses import Pose, Sweep
-from acquisition.station import BaumerOx, TableZero
+from acquisition.station import BaumerOx, GrblTable, TableZero
 from drivers.axis import Axis, AxisState, Motion
 from drivers.errors import NoReply, Refused
 from drivers.profiler import Profile, Reason
@@ -197,7 +197,8 @@ class _Scan:
                 axis.home(self._pause)
 
     def _must_know_the_zero(self) -> None:
-        software = self._station.settings.table.zero is TableZero.SOFTWARE_ZERO
+        table = self._station.settings.table
+        software = isinstance(table, GrblTable) and table.zero is TableZero.SOFTWARE_ZERO
         if software and self._part is not PartStands.AT_ZERO:
             raise ZeroLost(
                 "table: its software zero is forgotten, so that new slices would be turned against"

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Annotated, ClassVar
 
 from acquisition.frames import Kinematics
+from acquisition.motion_settings import AzStage, AzTable, ZaberStage, ZaberTable
 from acquisition.settings import Key, commented_toml, parse_settings, read_settings
 from drivers.addresses import parse_address
 
@@ -58,6 +59,7 @@ class HomeMark(Enum):
     HOME_SWITCH = "home switch"
     INDEX_PULSE = "index pulse"
     TORQUE = "torque"
+    HERE = "here"  # nothing: where it stands when it is homed
 
 
 class HomeWay(Enum):
@@ -124,7 +126,7 @@ class LeadshineStage:
     pulses_per_turn: Annotated[int, Key("as set in the drive", at_least=200, at_most=51200)]
     screw_lead_mm: Annotated[float, Key("travel of one turn of the motor", above=0.0)]
     speed_mm_s: Annotated[float, Key("of moves", above=0.0)]
-    home_mark: Annotated[HomeMark, Key("limit switch, home switch, index pulse or torque")] = (
+    home_mark: Annotated[HomeMark, Key("limit switch, home switch, index pulse, torque, here")] = (
         HomeMark.LIMIT_SWITCH
     )
     home_way: Annotated[HomeWay, Key("negative or positive: where it looks first")] = HomeWay.DOWN
@@ -203,13 +205,17 @@ class NoLaserSwitch:
     switch: ClassVar = "none"
 
 
+TableSettings = GrblTable | ZaberTable | AzTable
+StageSettings = LeadshineStage | ZaberStage | AzStage
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Station:
     """Everything station.toml says."""
 
     name: Annotated[str, Key("for reports")] = "station"
-    table: Annotated[GrblTable, Key("what turns the part")]
-    stage: Annotated[LeadshineStage, Key("what lifts the laser plane or the part")]
+    table: Annotated[TableSettings, Key("what turns the part")]
+    stage: Annotated[StageSettings, Key("what lifts the laser plane or the part")]
     profiler: Annotated[BaumerOx, Key("what measures")]
     laser: Annotated[
         RelayLaser | NoLaserSwitch,

@@ -27,6 +27,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from statistics import median
 from threading import RLock
 
 from pymodbus.pdu import ModbusPDU
@@ -55,7 +56,7 @@ _READ_TRIES = 3
 _DISTRUST_S = 60.0  # after a doubt
 _REMEMBERED = 16  # answers
 _LONGEST_HEARD = 1024  # bytes of what came to one question, twice or late
-_LONGER_THAN_ANY = 1.5
+_LONGER_THAN_USUAL = 1.5
 _PASSING = (6, 8)  # busy, and Leadshine's "your request had a bad CRC": a read may ask again
 _RTU_BITS_A_CHARACTER = 11
 _SWITCHED = {False: "off", True: "on"}
@@ -226,6 +227,7 @@ class ModbusBus:
         return pdu
 
     def _is_anothers(self, pdu: bytes, question: Question) -> bool:
+        """Whether the same was heard a moment ago, and not to this question."""
         asked, now_s = question.request.encode(), self._clock()
         return any(
             pdu in heard and other != asked and now_s - at_s <= self._slowest_reply_s
@@ -316,7 +318,7 @@ class ModbusBus:
         """Doubt an RTU answer that another follows; it does not say what it answers."""
         if self._framing is Framing.TCP:
             return
-        silence_s = max(self._silence_s, _LONGER_THAN_ANY * max(self._took_s))
+        silence_s = max(self._silence_s, _LONGER_THAN_USUAL * median(self._took_s))
         until_s = self._clock() + silence_s
         while (left_s := until_s - self._clock()) > 0:
             if came := self._listen(min(left_s, _LONGEST_WAIT_S)):

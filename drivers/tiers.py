@@ -18,6 +18,8 @@ class Tier(Enum):
 TIERS = {
     "grbl": Tier.THIRD_PARTY_CODE,
     "leadshine": Tier.MANUAL_FRAMES,
+    "oriental": Tier.MANUAL_FRAMES,
+    "zaber": Tier.THIRD_PARTY_CODE,
     "baumer_ox": Tier.MANUAL_FRAMES,
     "relay": Tier.INFERRED,
 }

@@ -52,6 +52,8 @@ def simulate(
     outliers: float | None = None,
     rings: int | None = None,
     stops: int | None = None,
+    table: str | None = None,
+    stage: str | None = None,
     faults: str | Sequence[str] = (),
     out: str | os.PathLike[str] | None = None,
 ) -> Iterator[Simulated]:
@@ -65,6 +67,8 @@ def simulate(
         Of the noise; how much faster than real time; of the optics: by default the simulator's.
     rings, stops
         Of the plan: how many rings, and how many stops of the table in each.
+    table, stage
+        Families of the axes, such as ``table="oriental"``; by default grbl and leadshine.
     faults
         Planted faults by name, such as ``"no-profiles"``.
     out
@@ -79,6 +83,7 @@ def simulate(
     options = {
         "--part": part, "--seed": seed, "--scale": scale, "--cloud-width-mm": cloud_width_mm,
         "--outliers": outliers, "--rings": rings, "--stops": stops, "--faults": planted or None,
+        "--table": table, "--stage": stage,
     }  # fmt: skip
     chosen = [each for name, value in options.items() if value is not None
               for each in (name, str(value))]  # fmt: skip

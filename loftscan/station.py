@@ -146,14 +146,31 @@ class Station:
             return self.stand()
 
     def jog_by(self, *, table_deg: float = 0.0, stage_mm: float = 0.0) -> Stand:
-        """Move by a distance from where it stands; a Grbl table unhomed by one degree at most."""
+        """Move by a distance from where it stands; unhomed by one degree or millimetre at most."""
         with self._working() as pause:
             if stage_mm:
-                stage = self._axis("stage")
-                stage.move_to(stage.state().position + stage_mm, pause)
+                _move_by(self._axis("stage"), stage_mm, pause)
             if table_deg:
-                self._turn_by(math.radians(table_deg), pause)
+                _move_by(self._axis("table"), math.radians(table_deg), pause)
             return self.stand()
+
+    def check_table(self, *, turns: int = 0) -> float | None:
+        """Look whether the table's home switch is where it was; how many degrees it is off.
+
+        For a table whose position is counted: steps that were lost since it was homed show here and
+        nowhere else, and after whole `turns` a wrong number of steps a degree. None for a table
+        that is read back by a sensor of its own.
+
+        Raises
+        ------
+        Refused
+            Off by more than its tolerance, and no longer homed; or its switch cannot be looked for.
+        """
+        table = self._devices.table
+        if not isinstance(table, GrblAxis):
+            return None
+        with self._working() as pause:
+            return math.degrees(table.check_reference(pause, turns=turns))
 
     def stop(self) -> Stand:
         """Laser off, then both axes stopped and seen to stand; whatever fails, the rest is done.
@@ -232,14 +249,6 @@ class Station:
     def _axis(self, name: str) -> Axis:
         return self._devices.table if name == "table" else self._devices.stage
 
-    def _turn_by(self, angle_rad: float, pause: Pause) -> None:
-        table = self._devices.table
-        here = table.state()
-        if isinstance(table, GrblAxis) and not here.homed:
-            table.jog_to(here.position + angle_rad, pause)
-        else:
-            table.move_to(here.position + angle_rad, pause)
-
     def _standing(self) -> Stand:
         """Wait until both axes stand; says what does not come to rest."""
         at = self._devices
@@ -261,3 +270,9 @@ class Station:
                     " emergency stop"
                 )
             at.sleep(LONGEST_WAIT_S)
+
+
+def _move_by(axis: Axis, distance: float, pause: Pause) -> None:
+    here = axis.state()
+    move = axis.move_to if here.homed else axis.jog_to
+    move(here.position + distance, pause)

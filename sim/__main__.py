@@ -19,6 +19,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NoReturn
 
+from sim.axes import StageFamily, TableFamily
 from sim.cabling import Cabling
 from sim.faults import FAULTS, parse_faults
 from sim.parts import PARTS, find_part
@@ -77,6 +78,8 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
         time_scale=wanted.scale,
         cloud_width_mm=wanted.cloud_width_mm,
         outlier_rate=wanted.outliers,
+        table_family=TableFamily(wanted.table),
+        stage_family=StageFamily(wanted.stage),
     )
     files = _files(wanted, folder)
     with WitnessLog(files.witness) as witness:
@@ -149,6 +152,10 @@ def _parser() -> argparse.ArgumentParser:
     option("--scale", type=float, default=normal.time_scale, help="how much faster its time runs")
     option("--cloud-width-mm", type=float, default=normal.cloud_width_mm, help="of the noise")
     option("--outliers", type=float, default=normal.outlier_rate, help="share of the points")
+    for role, families in (("table", TableFamily), ("stage", StageFamily)):
+        names = [each.value for each in families]
+        default = getattr(normal, f"{role}_family").value
+        option(f"--{role}", choices=names, default=default, help="family of that axis")
     option("--rings", type=_count_from(1), default=PLAN_RINGS, help="of plan.toml")
     option("--stops", type=_count_from(3), default=PLAN_STOPS, help="of the table, in each ring")
     option("--faults", default="", metavar="NAME,NAME=N", help="what is wrong; --list names all")

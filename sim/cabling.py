@@ -40,14 +40,17 @@ class Cabling:
         """Pull a cable, any one."""
         self._pulling.choice(list(self._plugs.values())).pull(now_s)
 
-    def serial(self, device: Device, speaker: Speaker) -> Device:
-        """Lay a serial line to a device."""
-        breath = self._breath(speaker)
-        if breath is not None:
-            device = Silent(device, breath)
+    def serial(self, device: Device, *speakers: Speaker) -> Device:
+        """Lay a serial line to a device, or to several that share it: one cable."""
+        for speaker in speakers:
+            self._plugs[speaker] = self._plugs[speakers[0]]
+            breath = self._breath(speaker)
+            if breath is not None:
+                device = Silent(device, breath)
         if self._faults.garble_every:
             device = Garbling(device, self._faults.garble_every)
-        return self._laid(device, speaker, Carrier.SERIAL, self._dice(speaker, "serial"))
+        first = speakers[0]
+        return self._laid(device, first, Carrier.SERIAL, self._dice(first, "serial"))
 
     def tcp(self, speaker: Speaker) -> Callable[[Device], Device]:
         """Lay a TCP cable; what is returned puts a session on it. All share one breath."""

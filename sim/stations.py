@@ -19,13 +19,22 @@ from pathlib import Path
 
 import numpy as np
 
+from sim.axes import (
+    Stage,
+    StageFamily,
+    Table,
+    TableFamily,
+    build_stage,
+    build_table,
+    lines_of,
+    stage_toml,
+    table_toml,
+)
 from sim.baumer_ox import OxSensor, OxSettings
 from sim.cabling import Cabling
 from sim.device import Device, ModbusUnit
 from sim.faults import Faults, Speaker
-from sim.grbl import GrblBoard, GrblSettings
-from sim.leadshine import Family, LeadshineDrive, LeadshineSettings
-from sim.modbus import RtuServer, TcpSession
+from sim.modbus import TcpSession
 from sim.motion import AxisMotion, Limits, Play
 from sim.optics import OpticalBench, OpticsSettings
 from sim.relay import RelayBlock, RelaySettings
@@ -36,11 +45,7 @@ from sim.wires import Pty, TcpListener, UdpSender
 from sim.witness import Witness
 from sim.world import Pace, World, WorldAxis
 
-_STEPS_PER_DEG = 80.0
 _TABLE_BAUD = 115200
-_SEEK_DEG_S, _FIND_DEG_S, _PULL_OFF_DEG = 90.0, 10.0, 2.0
-_PULSES_PER_TURN = 10_000
-_SCREW_LEAD_MM = 5.0
 _DEVICE_ID = 1
 _CLEAR_OF_SWITCH_MM = 2.0
 PLAN_RINGS, PLAN_STOPS = 40, 12
@@ -63,6 +68,8 @@ class Layout:
     mounting: Mounting = field(default_factory=lambda: Mounting(height_mm=-3.0))
     sensor: Sensor = field(default_factory=lambda: Sensor(points=640))
     rate_hz: float = 100.0
+    table_family: TableFamily = TableFamily.GRBL
+    stage_family: StageFamily = StageFamily.LEADSHINE
     table_limits: Limits = field(
         default_factory=lambda: Limits(math.radians(180.0), math.radians(2000.0))
     )
@@ -103,8 +110,8 @@ class Devices:
     """The devices of one station and what they share."""
 
     world: World
-    table: GrblBoard
-    stage: LeadshineDrive
+    table: Table
+    stage: Stage
     profiler: OxSensor
     relay: RelayBlock
 
@@ -146,8 +153,8 @@ def build(
         world.stage.obstacle = faults.stage_stalls_mm
     return Devices(
         world,
-        GrblBoard(world.table, _grbl_settings(layout)),
-        LeadshineDrive(world.stage, _leadshine_settings(layout)),
+        build_table(layout, world),
+        build_stage(layout, world),
         OxSensor(world, OxSettings(rate_hz=layout.rate_hz)),
         RelayBlock(world, RelaySettings()),
     )
@@ -163,16 +170,13 @@ def connect(
     OSError
         A port is taken.
     """
-    table, stage = Pty(folder / "table"), Pty(folder / "stage")
-    server.serve_pty(table, cabling.serial(devices.table, Speaker.TABLE))
-    drives = RtuServer({_DEVICE_ID: devices.stage})
-    server.serve_pty(stage, cabling.serial(drives, Speaker.STAGE))
+    table, stage = _serial_lines(devices, layout, cabling, server, folder)
     profiles = UdpSender(layout.profiles_port)
     server.broadcast(profiles, cabling.network(devices.profiler, Speaker.PROFILER))
     server.tell_time(devices.relay.tick)  # its watchdog bites whether or not it has a connection
     return Addresses(
-        table=f"serial://{table.path}?baud={_TABLE_BAUD}",
-        stage=f"serial://{stage.path}?baud={layout.stage_baud}",
+        table=table,
+        stage=stage,
         profiler=_listen(
             devices.profiler, cabling.tcp(Speaker.PROFILER), layout.profiler_port, server
         ),
@@ -184,25 +188,15 @@ def connect(
 def station_toml(layout: Layout, addresses: Addresses, part_name: str) -> str:
     """Write the station.toml of a layout, with comments."""
     mounting, sensor = layout.mounting, layout.sensor
-    ramp_s = _SCREW_LEAD_MM * 1000.0 / 60.0 / layout.stage_limits.acceleration  # to 1000 rpm
     return _STATION.format(
         name=json.dumps(f"simulated station, {part_name}"),
+        table=table_toml(layout, addresses.table),
+        stage=stage_toml(layout, addresses.stage),
         addresses=addresses,
         layout=layout,
         mounting=mounting,
         sensor=sensor,
         device_id=_DEVICE_ID,
-        steps_per_deg=_STEPS_PER_DEG,
-        table_deg_s=round(math.degrees(layout.table_limits.speed), 9),
-        backlash_deg=round(math.degrees(layout.table_play_rad), 9),
-        zero_deg=layout.table_switch_deg - _PULL_OFF_DEG,
-        pulses_per_turn=_PULSES_PER_TURN,
-        screw_lead_mm=_SCREW_LEAD_MM,
-        home_fast_mm_s=layout.stage_limits.speed / 2.0,
-        home_slow_mm_s=layout.stage_limits.speed / 10.0,
-        ramp_ms=math.floor(1000.0 * ramp_s),
-        lowest_mm=layout.stage_travel_mm[0] + _CLEAR_OF_SWITCH_MM,
-        highest_mm=layout.stage_travel_mm[1] - _CLEAR_OF_SWITCH_MM,
         table_sense=mounting.turning.name.lower().replace("_", "-"),
         stage_sense=mounting.lifting.name.lower(),
         sensor_x=mounting.hand.name.lower(),
@@ -261,25 +255,23 @@ def _world(layout: Layout, part: Part, witness: Witness, pace: Pace) -> World:
     )
 
 
-def _grbl_settings(layout: Layout) -> GrblSettings:
-    return GrblSettings(
-        steps_per_deg=_STEPS_PER_DEG,
-        max_rate_deg_min=60.0 * math.degrees(layout.table_limits.speed),
-        acceleration_deg_s2=math.degrees(layout.table_limits.acceleration),
-        homing_seek_deg_min=60.0 * _SEEK_DEG_S,
-        homing_feed_deg_min=60.0 * _FIND_DEG_S,
-        pull_off_deg=_PULL_OFF_DEG,
-        switch_deg=layout.table_switch_deg,
-    )
+def _serial_lines(
+    devices: Devices, layout: Layout, cabling: Cabling, server: Server, folder: Path
+) -> tuple[str, str]:
+    """Serve the lines of both axes; their addresses, the same where they share one."""
+    lines = lines_of(devices.table, devices.stage, layout.stage_baud)
+    if lines.table is lines.stage:
+        both = cabling.serial(lines.table, Speaker.TABLE, Speaker.STAGE)
+        return (f"{_serve(both, server, folder / 'axes')}?baud={lines.baud}",) * 2
+    table = _serve(cabling.serial(lines.table, Speaker.TABLE), server, folder / "table")
+    stage = _serve(cabling.serial(lines.stage, Speaker.STAGE), server, folder / "stage")
+    return f"{table}?baud={_TABLE_BAUD}", f"{stage}?baud={lines.baud}"
 
 
-def _leadshine_settings(layout: Layout) -> LeadshineSettings:
-    return LeadshineSettings(
-        family=Family.CS2RS,  # the one that notices when its motor is held
-        pulses_per_turn=_PULSES_PER_TURN,
-        screw_lead_mm=_SCREW_LEAD_MM,
-        travel_mm=layout.stage_travel_mm,
-    )
+def _serve(device: Device, server: Server, name: Path) -> str:
+    port = Pty(name)
+    server.serve_pty(port, device)
+    return f"serial://{port.path}"
 
 
 def _listen(unit: ModbusUnit, cable: Callable[[Device], Device], port: int, server: Server) -> str:
@@ -294,39 +286,8 @@ _STATION = """\
 # Lengths are mm, angles degrees, times s: every key says so.
 name = {name}
 
-# what turns the part: a Grbl board, whose "mm" are degrees
-[table]
-family = "grbl"
-address = "{addresses.table}"
-letter = "X"
-steps_per_deg = {steps_per_deg}  # the board's $100
-speed_deg_s = {table_deg_s}
-tolerance_deg = 0.05
-backlash_deg = {backlash_deg}
-zero = "switch"  # found again after a power cycle, so that a scan can be resumed
-zero_deg = {zero_deg}  # where it rests after homing: a pull-off before the switch
-lowest_deg = -360.0
-highest_deg = 3600.0  # ten turns
-
-# what lifts the laser plane: a Leadshine drive on Modbus RTU
-[stage]
-family = "leadshine"
-address = "{addresses.stage}"
-device_id = {device_id}
-model = "cs2rs"
-pulses_per_turn = {pulses_per_turn}
-screw_lead_mm = {screw_lead_mm}
-speed_mm_s = {layout.stage_limits.speed}
-home_mark = "limit switch"
-home_way = "negative"
-home_fast_mm_s = {home_fast_mm_s}
-home_slow_mm_s = {home_slow_mm_s}
-home_position_mm = {layout.stage_travel_mm[0]}  # where the limit switch is
-ramp_ms_per_1000_rpm = {ramp_ms}
-tolerance_mm = 0.02
-lowest_mm = {lowest_mm}
-highest_mm = {highest_mm}
-
+{table}
+{stage}
 # what measures: a Baumer OX200
 [profiler]
 family = "baumer_ox"

@@ -199,7 +199,7 @@ class GrblBoard:
         if counted is not None:
             self._stepper.redefine(counted, self._now_s)
         self._start_afresh(self._position_deg())
-        self._say(reports.BANNER)
+        self._say(reports.HAL_BANNER if self._settings.hal else reports.BANNER)
         if self._eeprom[_HARD_LIMITS] and self._limit_pin():
             self._cycle.state = State.ALARM
             self._say(reports.CHECK_LIMITS)
@@ -244,7 +244,7 @@ class GrblBoard:
             self._ask(command)
         elif state not in (State.IDLE, State.ALARM):
             raise Refusal(Error.NOT_IDLE)
-        elif command == "H":
+        elif command == "H" or self._homes_alone(command):
             yield from self._home()
         elif command in ("#", "I", "N"):
             self._tell(command)
@@ -278,7 +278,7 @@ class GrblBoard:
             parser, form = self._parser, self._format()
             self._say(*reports.parameters(self._eeprom.offsets_deg, parser.g92_deg, form))
         elif command == "I":
-            self._say(*reports.build_info(self._settings.axes, BLOCKS))
+            self._say(*reports.build_info(self._settings.axes, BLOCKS, hal=self._settings.hal))
         else:
             self._say("$N0=", "$N1=")
 
@@ -341,6 +341,11 @@ class GrblBoard:
         if self._status_asked:
             self._report_status()
         self._cycle.state, self._deaf = State.IDLE, False
+
+    def _homes_alone(self, command: str) -> bool:
+        """Whether it is grblHAL's homing of the one axis that has a motor, and that is allowed."""
+        alone = self._settings.hal and int(self._eeprom[_HOMING]) & 2
+        return bool(alone) and command == f"H{self._settings.letter}"
 
     def _pass(self, each: Pass) -> _Program:
         way = steps_of(each.way_deg, self._eeprom.steps_per_deg)

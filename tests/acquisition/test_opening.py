@@ -16,13 +16,8 @@ from dataclasses import dataclass, field, replace
 import pytest
 from pymodbus.framer.rtu import FramerRTU
 
-from acquisition.opening import (
-    OpenStation,
-    at_rest_unless_done,
-    grbl_settings,
-    leadshine_settings,
-    open_station,
-)
+from acquisition.axes import grbl_settings, leadshine_settings
+from acquisition.opening import OpenStation, at_rest_unless_done, open_station
 from acquisition.plan import check_plan, ring
 from acquisition.station import (
     HomeMark,

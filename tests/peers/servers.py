@@ -5,7 +5,7 @@ line after that is a request that writes, its PDU in hex.
 
 ::
 
-    a driver --> pty <--pump--> pty <-- RtuServer       drive, contact
+    a driver --> pty <--pump--> pty <-- RtuServer       drive, turntable, contact
     a driver ---------------------> TcpServer           block, unwatched, sensor
 
 The registers are written here from the manuals, as a third party would; nothing of ours is used.
@@ -85,6 +85,34 @@ class Moves:
             slave.set_values("holding 0x6000", 0x602C, self._counts)
 
 
+class Turns:
+    """An AZ drive's 0x007E: MOVE late after the start of a direct data operation, READY after."""
+
+    STALE_S, MOVING_S = 0.03, 0.2
+    HOME_END, READY, MOVE, IN_POSITION = 0x10, 0x20, 0x2000, 0x4000
+
+    def __init__(self) -> None:
+        self._begun_s = -1.0
+        self._home = 0
+        self._counts: tuple[int, ...] = (0, 0)
+
+    def __call__(self, slave: Slave, pdu: bytes) -> None:
+        """Begin what a request asks for; tell how far the drive is."""
+        function, first = struct.unpack_from(">BH", pdu)
+        if (function, first) == (16, 0x0058) and pdu.endswith(b"\x00\x00\x00\x01"):
+            self._counts = struct.unpack_from(">HH", pdu, 14)
+            self._begun_s = time.monotonic()
+        if (function, first) == (16, 0x0078) and pdu.endswith(b"\x00\x10"):
+            self._counts, self._home = (0, 0), self.HOME_END
+            self._begun_s = time.monotonic()
+        since_s = time.monotonic() - self._begun_s
+        moves = self.STALE_S <= since_s < self.STALE_S + self.MOVING_S
+        word = self._home | (self.MOVE if moves else self.READY | self.IN_POSITION)
+        slave.set_values("holding 0x7e", 0x007E, (0, word))
+        if since_s >= self.STALE_S + self.MOVING_S:
+            slave.set_values("holding 0x120", 0x0120, self._counts)
+
+
 def sets_up(slave: Slave, pdu: bytes) -> None:
     """Load a setup into the sensor, in its parametrisation and only there."""
     if pdu[0] == 6:
@@ -119,6 +147,13 @@ BANKS: Mapping[str, Callable[[], Bank]] = {
         {0x0000: [0, 10_000, 0, 2], 0x1003: [0x72], 0x2203: [0], 0x6000: [0] * 48,
          0x6200: [0] * 8},
     ),
+    # AZ: direct data, pulsed inputs, outputs and alarm, count, gear 1 : 1, wraps at 36 turns.
+    "turntable": lambda: Bank(
+        5,
+        {0x0058: [0] * 16, 0x0078: [0, 0], 0x007E: [0, 0x20, 0, 0], 0x0120: [0, 0],
+         0x0380: [0, 1, 0, 1], 0x038E: [0, 1, 0, 360]},
+        does=Turns(),
+    ),
     "contact": lambda: Bank(3, coils={0: [0] * 4}),
     "block": lambda: Bank(
         1,
@@ -140,7 +175,7 @@ BANKS: Mapping[str, Callable[[], Bank]] = {
         does=sets_up,
     ),
 }  # fmt: skip
-_ON_A_LINE = ("drive", "stuck", "contact")
+_ON_A_LINE = ("drive", "stuck", "turntable", "contact")
 
 
 def main(kind: str) -> None:
