@@ -18,6 +18,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 
 from acquisition.axes import stage_maker, table_maker
+from acquisition.ports import check_ports
 from acquisition.station import (
     BaumerOx,
     NoLaserSwitch,
@@ -80,6 +81,7 @@ def open_station(
     DriverError
         A device is not there or said no; names it.
     """
+    check_ports(station)
     make_table, make_stage = table_maker(station.table), stage_maker(station.stage)
     profiler_settings = baumer_ox_settings(station.profiler)
     with ExitStack() as endings:

@@ -23,6 +23,10 @@ _STOP_TRIES: Final = 3
 _AGAIN: Final = "AGAIN"
 
 
+class _NotNow(Refused):
+    """The device asks to be asked again."""
+
+
 class Chain:
     """Commands with ids over a link; replies found by their id.
 
@@ -62,11 +66,8 @@ class Chain:
         """
         try:
             return self._exchange(device, axis, query, pause)
-        except (NoReply, FrameError):
+        except (NoReply, FrameError, _NotNow):
             pass
-        except Refused as refused:
-            if not str(refused).endswith(reason_name(_AGAIN)):
-                raise
         return self._exchange(device, axis, query, pause)
 
     def order(self, device: int, axis: int, command: str, pause: Pause | None = None) -> Reply:
@@ -122,7 +123,8 @@ class Chain:
         if not reply.checked and asked.device in self._checks_due:
             raise FrameError(f"{said}: a reply without its check; was the device reset?")
         if not reply.accepted:
-            raise Refused(f"{said}: rejected, {reason_name(reply.data)}")
+            kind = _NotNow if reply.data == _AGAIN else Refused
+            raise kind(f"{said}: rejected, {reason_name(reply.data)}")
         return reply
 
     def _listen(self, seconds: float, pause: Pause | None) -> None:

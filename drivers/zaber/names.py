@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from typing import Final
 
-NO_FLAG: Final = "--"
-
 FLAGS: Final = {
     "FF": "critical system error",
     "FN": "peripheral not supported",

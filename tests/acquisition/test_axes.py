@@ -23,6 +23,7 @@ from acquisition.motion_settings import (
     ZaberTable,
 )
 from acquisition.opening import open_station
+from acquisition.ports import check_ports
 from acquisition.station import parse_station, write_station
 from drivers import oriental
 from drivers.links import ByteLink
@@ -109,3 +110,44 @@ def test_two_axes_on_one_zaber_chain_have_one_holder_of_the_port() -> None:
     assert sum("ttyUSB7" in address for address in opened) == 1
     stops = re.findall(rb"/(\d) 1 \d\d stop:..\n", b"".join(heard))
     assert stops == [b"2", b"1", b"2"]  # on the way out the stage first
+
+
+# --- who may be on one port with whom --------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("table", "stage", "said"),
+    [
+        (
+            STATION.table,
+            replace(STATION.stage, address=STATION.table.address),
+            r"stage\.address: /dev/ttyUSB0 is the table's port, too, and Grbl and Modbus cannot",
+        ),
+        (ZABER_TABLE, replace(AZ_STAGE, address=ZABER), "Zaber ASCII and Modbus cannot share one"),
+        (
+            AZ_TABLE,
+            replace(AZ_STAGE, address="serial:///dev/ttyUSB8"),
+            "with other settings; write the same address for both",
+        ),
+    ],
+    ids=["a board and a bus", "a chain and a bus", "two parities"],
+)
+def test_a_port_that_is_used_in_two_ways_is_refused_before_anything_is_opened(
+    table, stage, said
+) -> None:
+    site = Site()
+    station = replace(STATION, table=table, stage=stage)
+    with (
+        pytest.raises(ValueError, match=said),
+        open_station(station, clock=site.clock, sleep=site.sleep, links=site.open),
+    ):
+        pass
+    assert site.journal == []
+
+
+@pytest.mark.parametrize(
+    ("table", "stage"),
+    [(ZABER_TABLE, ZABER_STAGE), (AZ_TABLE, AZ_STAGE), (STATION.table, AZ_STAGE)],
+)
+def test_who_speaks_the_same_may_share_a_port(table, stage) -> None:
+    check_ports(replace(STATION, table=table, stage=stage))

@@ -361,3 +361,24 @@ def test_a_disabled_driver_is_named(wire) -> None:
 def test_settings_that_make_no_axis_are_the_callers_mistake(changed) -> None:
     with pytest.raises(ValueError, match="stage"):
         replace(STAGE, **changed)
+
+
+def test_a_question_that_comes_too_early_is_asked_again_and_an_order_is_not(wire) -> None:
+    stage = wire.stage()
+    stage.home(wire.pause)
+    wire.sent.clear()
+
+    def busy(said: bytes) -> bytes:
+        """The first answer of each command is AGAIN."""
+        if len(wire.sent) % 2 == 0:
+            return said
+        number = wire.sent[-1].split(b" ")[2].split(b":")[0]
+        body = b"01 1 " + number + b" RJ IDLE -- AGAIN"
+        return b"@%s:%02X\r\n" % (body, -sum(body) & 0xFF)
+
+    wire.damage = busy
+    assert wire.chain.ask(1, 1, "get pos").data == "0"
+    assert len(wire.sent) == 2
+    with pytest.raises(Refused, match="AGAIN"):
+        wire.chain.order(1, 1, "move abs 10")
+    assert len(wire.sent) == 3
