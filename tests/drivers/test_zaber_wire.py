@@ -87,7 +87,10 @@ noise = st.binary(max_size=12).map(lambda data: bytes(b for b in data if b not i
 
 
 class Hearing(RuleBasedStateMachine):
-    """Replies between noise, in any chunks: every whole one is heard, in order, and no other."""
+    """Replies between noise, in any chunks: every whole one is heard, in order, and no other.
+
+    Only what carries a check counts: the chain takes nothing else from who has shown that it checks.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -100,7 +103,7 @@ class Hearing(RuleBasedStateMachine):
             size = sizes[0]
             sizes = [*sizes[1:], size]
             for each in self.decoder.feed(data[:size]):
-                if isinstance(each, Reply):
+                if isinstance(each, Reply) and each.checked:
                     self.heard.append(each)
             data = data[size:]
 
