@@ -89,7 +89,7 @@ noise = st.binary(max_size=12).map(lambda data: bytes(b for b in data if b not i
 class Hearing(RuleBasedStateMachine):
     """Replies between noise, in any chunks: every whole one is heard, in order, and no other.
 
-    Only what carries a check counts: the chain takes nothing else from who has shown that it checks.
+    Only what carries a check counts: the chain takes nothing else once a device has shown one.
     """
 
     def __init__(self) -> None:
