@@ -2,8 +2,8 @@
 
 ::
 
-    way in    laser: link, off, its watchdog  >  table  >  stage  >  profiler
-    way out   laser off  <  stage stops  <  table stops  <  laser off again  <  its link closes
+    way in    guard  >  laser: link, off, its watchdog  >  table  >  stage  >  profiler
+    way out   laser off  <  stage stops  <  table stops  <  laser off again  <  links  <  guard
 
 The first bytes to the laser are off. Every way out is gone to its end: what fails there does not
 keep the rest from being done, the first error is the one that is raised, the others are its notes.
@@ -14,10 +14,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, replace
 
+from acquisition.lease import TTL_S, Lease
+from acquisition.safety.guarding import AttendedLink, Guard, first_word_s, guarded
+from acquisition.safety.places import Place, places_of
 from acquisition.station import (
     BaumerOx,
     GrblTable,
@@ -38,9 +41,12 @@ from drivers.laser import Guarantee, LaserSwitch
 from drivers.links import ByteLink, open_link
 from drivers.modbus import Framing, ModbusBus, rtu_silence_s
 from drivers.profiler import Profiler
+from drivers.recipes import Recipe, Recited
 
 Clock = Callable[[], float]
 Sleep = Callable[[float], None]
+Guarding = Callable[[Sequence[Place], Sleep], AbstractContextManager[Guard]]
+_Address = SerialAddress | TcpAddress | UdpAddress
 
 # One degree written in two ways is two numbers: a stop at the very limit is inside it.
 _ROUNDING_RAD = 1e-9
@@ -64,6 +70,9 @@ class OpenStation:
     guarantee: Guarantee  # what the laser's switch promised when it was opened
     clock: Clock
     sleep: Sleep
+    lease: Lease
+    guard: Guard
+    guarded: Mapping[str, float]  # by device: s from a death or a hang to the guard's word to it
 
 
 @contextmanager
@@ -73,6 +82,7 @@ def open_station(
     clock: Clock = time.monotonic,
     sleep: Sleep = time.sleep,
     links: Callable[[str], ByteLink] = open_link,
+    guarding: Guarding = guarded,
 ) -> Iterator[OpenStation]:
     """Open every device; laser off, axes stopped and links closed on every way out.
 
@@ -82,6 +92,8 @@ def open_station(
         Monotonic seconds, and how to let some pass.
     links
         Opens an address; a wire log or a test's loopbacks come in here.
+    guarding
+        Starts who watches over this program, with the places that are to be its alone.
 
     Raises
     ------
@@ -89,24 +101,35 @@ def open_station(
         The station holds what a driver cannot do; nothing has been opened.
     DriverError
         A device is not there or said no; names it.
+    GuardLost
+        It could not be started.
     """
     table_settings = grbl_settings(station.table)
     stage_settings = leadshine_settings(station.stage)
     profiler_settings = baumer_ox_settings(station.profiler)
     with ExitStack() as endings:
-        wires = _Wires(links, clock, sleep, endings)
+        guard = endings.enter_context(guarding(places_of(_addresses(station)), sleep))
+        wires = _Wires(links, clock, sleep, endings, guard)
         laser = _laser(station.laser, wires)
         endings.enter_context(at_last(laser.off))
         laser.off()
         guarantee = laser.guarantee()
+        wires.hand_over(laser, getattr(station.laser, "address", ""))
         table = grbl.GrblAxis(wires.link(station.table.address), table_settings, clock=clock)
         endings.enter_context(at_last(table.stop))
+        wires.hand_over(table, station.table.address)
         bus = wires.bus(station.stage.address)
         stage = leadshine.LeadshineStage(bus, station.stage.device_id, stage_settings, clock=clock)
         endings.enter_context(at_last(stage.stop))
+        wires.hand_over(stage, station.stage.address)
         profiler = _profiler(station.profiler, profiler_settings, wires)
+        wires.hand_over(profiler, station.profiler.address)
         endings.enter_context(at_last(laser.off))  # before the axes, which may take their time
-        yield OpenStation(station, table, stage, profiler, laser, guarantee, clock, sleep)
+        lease = Lease(TTL_S, clock, guard)
+        yield OpenStation(
+            station, table, stage, profiler, laser, guarantee, clock, wires.sleep, lease, guard,
+            wires.guarded,
+        )  # fmt: skip
 
 
 @contextmanager
@@ -169,25 +192,55 @@ def baumer_ox_settings(profiler: BaumerOx) -> baumer_ox.Settings:
 
 
 class _Wires:
-    """Each link opened once and closed on the way out; devices at one address share its bus."""
+    """Each link opened once and closed on the way out; devices at one address share its bus.
+
+    Whoever reads or sleeps here is alive: the guard is told.
+    """
 
     def __init__(
-        self, links: Callable[[str], ByteLink], clock: Clock, sleep: Sleep, endings: ExitStack
+        self,
+        links: Callable[[str], ByteLink],
+        clock: Clock,
+        sleep: Sleep,
+        endings: ExitStack,
+        guard: Guard,
     ) -> None:
         self.clock = clock
-        self.sleep = sleep
+        self.guarded: dict[str, float] = {}
+        self._sleep = sleep
         self._links = links
         self._endings = endings
-        self._buses: dict[SerialAddress | TcpAddress | UdpAddress, ModbusBus] = {}
+        self._guard = guard
+        self._opened: dict[_Address, ByteLink] = {}
+        self._recipes: dict[_Address, tuple[Recipe, ...]] = {}
+        self._buses: dict[_Address, ModbusBus] = {}
+
+    def sleep(self, seconds: float) -> None:
+        """Let some time pass; 50 ms at most between two renewals."""
+        self._sleep(seconds)
+        self._guard.attend()
 
     def link(self, address: str) -> ByteLink:
-        link = self._links(address)
+        """Open an address."""
+        link = AttendedLink(self._links(address), self._guard)
         self._endings.enter_context(at_last(link.close))
+        self._opened[_place(address)] = link
         return link
+
+    def hand_over(self, device: object, address: str) -> None:
+        """Give the guard what it must know of a device to bring it to rest."""
+        if not isinstance(device, Recited):
+            return
+        place, recipes = _place(address), device.recipes()
+        self._recipes[place] = (*self._recipes.get(place, ()), *recipes)
+        if self._guard.hold(self._opened[place], self._recipes[place]):
+            self.guarded |= {
+                each.device: first_word_s(TTL_S, each.quiet_s, each.wire_s) for each in recipes
+            }
 
     def bus(self, address: str) -> ModbusBus:
         """Modbus RTU on a serial port, Modbus TCP over TCP."""
-        place = replace(parse_address(address), text="")  # however it is spelled
+        place = _place(address)
         if place not in self._buses:
             serial = isinstance(place, SerialAddress)
             framing = Framing.RTU if serial else Framing.TCP
@@ -197,10 +250,21 @@ class _Wires:
                 timeout_s=_REPLY_S[framing],
                 slowest_reply_s=_SLOWEST_REPLY_S[framing],
                 silence_s=rtu_silence_s(place.baud) if isinstance(place, SerialAddress) else 0.0,
+                baud=place.baud if isinstance(place, SerialAddress) else 9600,
                 clock=self.clock,
                 sleep=self.sleep,
             )
         return self._buses[place]
+
+
+def _place(address: str) -> _Address:
+    """An address however it is spelled."""
+    return replace(parse_address(address), text="")
+
+
+def _addresses(station: Station) -> list[str]:
+    tables = (station.table, station.stage, station.profiler, station.laser)
+    return [each.address for each in tables if not isinstance(each, NoLaserSwitch)]
 
 
 def _profiler(settings: BaumerOx, scales: baumer_ox.Settings, wires: _Wires) -> baumer_ox.BaumerOx:

@@ -26,7 +26,7 @@ from enum import Enum
 import numpy as np
 
 from acquisition.errors import LeaseLapsed, Stopped, ZeroLost
-from acquisition.lease import LONGEST_WAIT_S, TTL_S, Lease, lasing, pausing
+from acquisition.lease import LONGEST_WAIT_S, lasing, pausing
 from acquisition.opening import OpenStation, at_rest_unless_done
 from acquisition.plan import Plan, Target, check_plan, targets
 from acquisition.poses import Pose, Sweep
@@ -165,7 +165,7 @@ class _Scan:
         self._stop = stop
         self._part = part
         self._progress = progress
-        self._lease = Lease(TTL_S, station.clock)
+        self._lease = station.lease
         self._pause = pausing(self._lease, stop.look, station.sleep)
         self._patience_s = _PATIENCE_S + 3.0 / station.settings.profiler.rate_hz
         self._lost_profiles = 0

@@ -19,6 +19,19 @@ class Bus(Protocol):
         """The address of the link, for messages."""
         ...
 
+    def framed(self, device_id: int, pdu: bytes) -> bytes:
+        """A frame for somebody else to send or to expect, of a PDU."""
+        ...
+
+    def wire_s(self, size: int) -> float:
+        """Seconds that so many bytes take on the wire."""
+        ...
+
+    @property
+    def quiet_s(self) -> float:
+        """Silence after which nothing of a dead program is on its way any more."""
+        ...
+
     def read_holding(self, device_id: int, first: int, count: int) -> tuple[int, ...]:
         """Holding registers (function 3); exactly `count` unsigned 16-bit values."""
         ...

@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from threading import RLock
 
+from pymodbus.framer import FramerRTU
 from pymodbus.pdu import ModbusPDU
 from pymodbus.pdu.bit_message import ReadCoilsRequest, WriteSingleCoilRequest
 from pymodbus.pdu.register_message import (
@@ -47,6 +48,9 @@ from drivers.modbus_wire import (
 _LONGEST_WAIT_S = 0.05  # the laser's lease is renewed at least so often
 _PASSING = (6, 8)  # busy, and Leadshine's "your request had a bad CRC": a read may ask again
 _RTU_BITS_A_CHARACTER = 11
+_FIFO_CHARACTERS = 64
+_TURNROUND_S = 0.015  # of a device that was asked something just before
+_RECITED = 0xFFFF  # our own transactions begin at 1
 _SWITCHED = {False: "off", True: "on"}
 
 
@@ -92,6 +96,8 @@ class ModbusBus:
         No device of this bus answers later than so long after it was asked.
     silence_s : float
         Before each RTU request; see `rtu_silence_s`.
+    baud : int
+        Of an RTU line: how long its bytes take, for those who say a recipe.
     clock, sleep
         Monotonic seconds; and how the quarantine is waited out, 50 ms at most at a time. The sleep
         may raise to give up; nothing has been sent then.
@@ -106,6 +112,7 @@ class ModbusBus:
         slowest_reply_s: float,
         silence_s: float = 0.005,
         echo: Echo = Echo.NONE,
+        baud: int = 9600,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], object] = time.sleep,
     ) -> None:
@@ -117,6 +124,7 @@ class ModbusBus:
         self._slowest_reply_s = slowest_reply_s
         self._silence_s = silence_s if framing is Framing.RTU else 0.0
         self._echo = echo
+        self._baud = baud
         self._clock = clock
         self._sleep = sleep
         # Re-entrant: a signal's handler may switch the laser off amid a request; the request then
@@ -132,6 +140,28 @@ class ModbusBus:
     def address(self) -> str:
         """The address of the link, for messages."""
         return self._link.address
+
+    def framed(self, device_id: int, pdu: bytes) -> bytes:
+        """A frame for somebody else to send or to expect; its transaction is none of ours."""
+        if self._framing is Framing.RTU:
+            body = bytes([device_id]) + pdu
+            return body + FramerRTU.compute_CRC(body).to_bytes(2, "big")
+        return struct.pack(">HHHB", _RECITED, 0, len(pdu) + 1, device_id) + pdu
+
+    def wire_s(self, size: int) -> float:
+        """Seconds that so many bytes take; on a network none worth counting."""
+        rtu = self._framing is Framing.RTU
+        return size * _RTU_BITS_A_CHARACTER / self._baud if rtu else 0.0
+
+    @property
+    def quiet_s(self) -> float:
+        """Silence after which nothing of a dead program is on its way here or there.
+
+        A serial line: what its sender still holds (64 characters) and a reply's delay. A TCP
+        connection keeps order by itself, and every answer names its question.
+        """
+        rtu = self._framing is Framing.RTU
+        return _TURNROUND_S + self.wire_s(_FIFO_CHARACTERS) if rtu else 0.0
 
     def tally(self) -> BusTally:
         """What happened so far."""

@@ -53,6 +53,7 @@ def simulate(
     rings: int | None = None,
     stops: int | None = None,
     faults: str | Sequence[str] = (),
+    laser: str | None = None,
     out: str | os.PathLike[str] | None = None,
 ) -> Iterator[Simulated]:
     """Serve a simulated station while the block lasts.
@@ -67,6 +68,9 @@ def simulate(
         Of the plan: how many rings, and how many stops of the table in each.
     faults
         Planted faults by name, such as ``"no-profiles"``.
+    laser
+        What switches the laser: ``"turck"`` by default, ``"plain"``, ``"grbl"``, ``"none"`` and
+        others; `loftscan sim --help` has them.
     out
         Where its files go; by default a folder that goes with the block.
 
@@ -79,6 +83,7 @@ def simulate(
     options = {
         "--part": part, "--seed": seed, "--scale": scale, "--cloud-width-mm": cloud_width_mm,
         "--outliers": outliers, "--rings": rings, "--stops": stops, "--faults": planted or None,
+        "--laser": laser,
     }  # fmt: skip
     chosen = [each for name, value in options.items() if value is not None
               for each in (name, str(value))]  # fmt: skip

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol, Self
 
-from acquisition.lease import LONGEST_WAIT_S, TTL_S, Lease, lasing, pausing
+from acquisition.lease import LONGEST_WAIT_S, lasing, pausing
 from acquisition.opening import OpenStation, at_rest_unless_done, open_station
 from acquisition.scan import StopRequest
 from acquisition.station import NoLaserSwitch, read_station
@@ -187,11 +187,10 @@ class Station:
         Between two calls no more than 50 ms may pass, or the lease lapses and the laser is off.
         """
         at, stop = self._devices, StopRequest()
-        lease = Lease(TTL_S, at.clock)
         with (
             self._attention.at_work(stop),
             at_rest_unless_done(at),
-            lasing(at.laser, lease) as keep_on,
+            lasing(at.laser, at.lease) as keep_on,
         ):
             yield lambda: self._fresh(keep_on, stop)
 
@@ -224,8 +223,7 @@ class Station:
     def _working(self) -> Iterator[Pause]:
         """Work that looks for a stop while it waits; left badly, the station comes to rest."""
         stop = StopRequest()
-        lease = Lease(TTL_S, self._devices.clock)
-        pause = pausing(lease, stop.look, self._devices.sleep)
+        pause = pausing(self._devices.lease, stop.look, self._devices.sleep)
         with self._attention.at_work(stop), at_rest_unless_done(self._devices):
             yield pause
 

@@ -19,6 +19,7 @@ from tempfile import TemporaryDirectory
 from typing import NoReturn
 
 from sim.faults import FAULTS, parse_faults
+from sim.lasers import LaserWiring
 from sim.parts import PARTS, find_part
 from sim.serving import Ending, Server
 from sim.stations import (
@@ -75,6 +76,7 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
         time_scale=wanted.scale,
         cloud_width_mm=wanted.cloud_width_mm,
         outlier_rate=wanted.outliers,
+        laser=LaserWiring(wanted.laser),
     )
     files = _files(wanted, folder)
     with WitnessLog(files.witness) as witness:
@@ -148,6 +150,8 @@ def _parser() -> argparse.ArgumentParser:
     option("--rings", type=_count_from(1), default=PLAN_RINGS, help="of plan.toml")
     option("--stops", type=_count_from(3), default=PLAN_STOPS, help="of the table, in each ring")
     option("--faults", default="", metavar="NAME,NAME=N", help="what is wrong; --list names all")
+    wirings = [each.value for each in LaserWiring]
+    option("--laser", choices=wirings, default=normal.laser.value, help="what switches the laser")
     option("--out", type=Path, metavar="DIR", help="keeps the files; absent: gone at the end")
     option("--station", type=Path, metavar="FILE", help="for station.toml alone")
     option("--witness", type=Path, metavar="FILE", help="for the log of what truly happened alone")

@@ -22,11 +22,12 @@ from sim.baumer_ox import OxSensor, OxSettings
 from sim.device import Broadcaster, Device, ModbusUnit
 from sim.faults import Breath, Dropping, Faults, Garbling, Silent, Speaker, Unsent
 from sim.grbl import GrblBoard, GrblSettings
+from sim.lasers import LaserWiring, Slow, laser_table, relay_settings, spindle_board
 from sim.leadshine import Family, LeadshineDrive, LeadshineSettings
 from sim.modbus import RtuServer, TcpSession
 from sim.motion import AxisMotion, Limits, Play
 from sim.optics import OpticalBench, OpticsSettings
-from sim.relay import RelayBlock, RelaySettings
+from sim.relay import RelayBlock
 from sim.sensor import Flaws, Mounting, Sensor
 from sim.serving import Server
 from sim.solids import Part
@@ -73,6 +74,7 @@ class Layout:
     stage_travel_mm: tuple[float, float] = (-2.0, 160.0)  # from limit switch to limit switch
     stage_baud: int = 115200
     watchdog_s: float = 0.25
+    laser: LaserWiring = LaserWiring.TURCK
     profiler_port: int = 0  # of each port, 0 is any that is free
     profiles_port: int = 0
     relay_port: int = 0
@@ -105,6 +107,7 @@ class Devices:
     stage: LeadshineDrive
     profiler: OxSensor
     relay: RelayBlock
+    laser_board: GrblBoard  # speaks where its spindle output switches the laser
 
     def lively(self, now_s: float) -> bool:
         """Whether anything moves or measures."""
@@ -140,6 +143,8 @@ def build(
             f" sees {layout.reach_mm:g}; scale it down"
         )
     world = _world(layout, part, witness, Pace(now_s, layout.time_scale))
+    if layout.laser is LaserWiring.NONE:
+        world.switch_laser(now_s, on=True, why="nothing switches it")
     if faults.stage_stalls_mm is not None:
         world.stage.obstacle = faults.stage_stalls_mm
     return Devices(
@@ -147,7 +152,8 @@ def build(
         GrblBoard(world.table, _grbl_settings(layout)),
         LeadshineDrive(world.stage, _leadshine_settings(layout)),
         OxSensor(world, OxSettings(rate_hz=layout.rate_hz)),
-        RelayBlock(world, RelaySettings()),
+        RelayBlock(world, relay_settings(layout.laser)),
+        spindle_board(world, witness),
     )
 
 
@@ -173,8 +179,23 @@ def connect(
         stage=f"serial://{stage.path}?baud={layout.stage_baud}",
         profiler=_listen(devices.profiler, Speaker.PROFILER, layout.profiler_port, faults, server),
         profiles=profiles.address,
-        laser=_listen(devices.relay, Speaker.RELAY, layout.relay_port, faults, server),
+        laser=_laser_address(devices, layout, faults, server, folder),
     )
+
+
+def _laser_address(
+    devices: Devices, layout: Layout, faults: Faults, server: Server, folder: Path
+) -> str:
+    """Put what switches the laser on its wire; empty where nothing does."""
+    if layout.laser is LaserWiring.NONE:
+        return ""
+    if (baud := layout.laser.baud) is None:
+        return _listen(devices.relay, Speaker.RELAY, layout.relay_port, faults, server)
+    grbl = layout.laser is LaserWiring.GRBL
+    device: Device = devices.laser_board if grbl else RtuServer({_DEVICE_ID: devices.relay})
+    pty = Pty(folder / "laser")
+    server.serve_pty(pty, Slow(_on_serial_line(device, Speaker.RELAY, faults), baud))
+    return f"serial://{pty.path}?baud={baud}"
 
 
 def station_toml(layout: Layout, addresses: Addresses, part_name: str) -> str:
@@ -200,6 +221,9 @@ def station_toml(layout: Layout, addresses: Addresses, part_name: str) -> str:
         lowest_mm=layout.stage_travel_mm[0] + _CLEAR_OF_SWITCH_MM,
         highest_mm=layout.stage_travel_mm[1] - _CLEAR_OF_SWITCH_MM,
         table_sense=mounting.turning.name.lower().replace("_", "-"),
+        laser=laser_table(
+            layout.laser, addresses.laser, device_id=_DEVICE_ID, watchdog_s=layout.watchdog_s
+        ),
         stage_sense=mounting.lifting.name.lower(),
         sensor_x=mounting.hand.name.lower(),
         azimuth_deg=round(math.degrees(mounting.azimuth_rad), 9),
@@ -354,15 +378,9 @@ z_mm_per_count = {sensor.z_mm_per_count}
 x_offset_mm = {sensor.x_offset_mm}
 z_offset_mm = {sensor.z_offset_mm}
 
-# what switches the laser: an I/O block that drops its outputs when nobody talks to it
+# what switches the laser; a Turck block drops its outputs when nobody talks to it
 [laser]
-switch = "relay"
-family = "turck"
-address = "{addresses.laser}"
-device_id = {device_id}
-output_by = "coil"
-output = 0
-watchdog_s = {layout.watchdog_s}
+{laser}
 
 # how axes and sensor stand: the truth, as far as a ruler could tell it
 [kinematics]

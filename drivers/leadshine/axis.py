@@ -42,6 +42,8 @@ from drivers.leadshine.registers import (
     value_of,
     words_of,
 )
+from drivers.modbus_recipes import without_bits, write_register
+from drivers.recipes import Order, Recipe
 
 _POLL_S = 0.02
 _STOP_TRIES = 3
@@ -138,6 +140,11 @@ class StageSettings:
         cruise_s = abs(distance_mm) * 60.0 / (rpm * self.lead_mm)
         ramps_s = (self.acceleration_ms + self.deceleration_ms) / 1000.0 * rpm / 1000.0
         return cruise_s + ramps_s + self.settle_s + self.slack_s
+
+    def braking_s(self) -> float:
+        """Return the time that the drive takes to stand, from the fastest it is told to go."""
+        fastest_mm_s = max(self.speed_mm_s, self.homing.fast_mm_s)
+        return self.deceleration_ms / 1000.0 * self.rpm(fastest_mm_s) / 1000.0
 
     def homing_s(self) -> float:
         """Return the time within which the reference must be found: there, back, and creeping."""
@@ -255,6 +262,14 @@ class LeadshineStage:
                     raise
             else:
                 return
+
+    def recipes(self) -> tuple[Recipe, ...]:
+        """Stop, and read the status until it no longer runs; see `drivers.recipes`."""
+        bus, device_id = self._bus, self._device_id
+        stop = write_register(bus, device_id, Register.TRIGGER, Trigger.STOP)
+        stands = without_bits(bus, device_id, 3, Register.STATUS, Status.RUNNING)
+        wire_s, rest_s = bus.wire_s(len(stop.send)), self._settings.braking_s() + 0.5
+        return (Recipe(self._name, Order.AXIS, (stop,), (stands,), bus.quiet_s, wire_s, rest_s),)
 
     def clear_alarm(self) -> None:
         """Reset the drive's alarm, once, because a person asked; forgets "homed"."""

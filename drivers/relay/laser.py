@@ -18,6 +18,8 @@ from drivers.bus import Bus
 from drivers.endings import unless_done
 from drivers.errors import DriverError, Refused
 from drivers.laser import Guarantee
+from drivers.modbus_recipes import coil_is_open, without_bits, write_coil, write_register
+from drivers.recipes import Order, Recipe, Word
 from drivers.relay.registers import IDENTIFIER_WORDS, Register, text_of, watchdog_word
 
 _OFF_TRIES = 3
@@ -40,6 +42,10 @@ class Output(Protocol):
         """Read it back."""
         ...
 
+    def open_words(self, bus: Bus, device_id: int) -> tuple[Word, Word]:
+        """How to open it, and how to see that it is open."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class Coil:
@@ -55,6 +61,13 @@ class Coil:
         """Read it back."""
         (closed,) = bus.read_coils(device_id, self.number, 1)
         return closed
+
+    def open_words(self, bus: Bus, device_id: int) -> tuple[Word, Word]:
+        """How to open it, and how to see that it is open."""
+        return (
+            write_coil(bus, device_id, self.number, 0),
+            coil_is_open(bus, device_id, self.number),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +92,13 @@ class OutputBit:
         """Read it back."""
         (word,) = bus.read_holding(device_id, self.register, 1)
         return bool(word >> self.bit & 1)
+
+    def open_words(self, bus: Bus, device_id: int) -> tuple[Word, Word]:
+        """How to open it, and how to see that it is open: the whole word is 0 then."""
+        return (
+            write_register(bus, device_id, self.register, 0),
+            without_bits(bus, device_id, 3, self.register, 0xFF),
+        )
 
 
 class _Contact:
@@ -121,6 +141,13 @@ class _Contact:
     def is_closed(self) -> bool:
         """Read it back."""
         return self._output.is_closed(self._bus, self._device_id)
+
+    def recipes(self) -> tuple[Recipe, ...]:
+        """Open, and read back."""
+        off, is_off = self._output.open_words(self._bus, self._device_id)
+        wire_s = self._bus.wire_s(len(off.send))
+        quiet_s = self._bus.quiet_s
+        return (Recipe(self._name, Order.LASER, (off,), (is_off,), quiet_s, wire_s),)
 
     def _follows(self, *, closed: bool) -> bool:
         deadline_s = self._clock() + _FOLLOWS_WITHIN_S
@@ -203,6 +230,10 @@ class WatchedBlock:
         """Read the output back."""
         return self._contact.is_closed()
 
+    def recipes(self) -> tuple[Recipe, ...]:
+        """Off, and read back; see `drivers.recipes`."""
+        return self._contact.recipes()
+
     def _must_still_be_watched(self) -> None:
         if self._promised_ms and (found_ms := self._watchdog_ms()) != self._promised_ms:
             raise Refused(
@@ -264,3 +295,7 @@ class PlainRelay:
     def is_on(self) -> bool:
         """Read the output back."""
         return self._contact.is_closed()
+
+    def recipes(self) -> tuple[Recipe, ...]:
+        """Off, and read back; see `drivers.recipes`."""
+        return self._contact.recipes()

@@ -24,6 +24,7 @@ from acquisition.opening import (
     open_station,
 )
 from acquisition.plan import check_plan, ring
+from acquisition.safety.guarding import unguarded
 from acquisition.station import (
     HomeMark,
     HomeWay,
@@ -144,7 +145,9 @@ class Wire:
 
 
 def opened(site: Site, station: Station = STATION) -> AbstractContextManager[OpenStation]:
-    return open_station(station, clock=site.clock, sleep=site.sleep, links=site.open)
+    return open_station(
+        station, clock=site.clock, sleep=site.sleep, links=site.open, guarding=unguarded
+    )
 
 
 def test_the_first_bytes_to_the_laser_are_off_and_nothing_else_is_asked() -> None:
