@@ -21,23 +21,23 @@ from dataclasses import dataclass, replace
 from acquisition.lease import TTL_S, Lease
 from acquisition.safety.guarding import AttendedLink, Guard, first_word_s, guarded
 from acquisition.safety.places import Place, places_of
+from acquisition.safety.states import Event, Rules, State
+from acquisition.safety.supervising import PermittedLaser, Supervisor
+from acquisition.safety.switches import switch_of
 from acquisition.station import (
     BaumerOx,
     GrblTable,
     LeadshineModel,
     LeadshineStage,
     NoLaserSwitch,
-    OutputBy,
-    RelayFamily,
-    RelayLaser,
     Station,
     TableZero,
 )
-from drivers import baumer_ox, grbl, leadshine, relay
+from drivers import baumer_ox, grbl, leadshine
 from drivers.addresses import SerialAddress, TcpAddress, UdpAddress, parse_address
-from drivers.axis import Axis, Identity, Kind
+from drivers.axis import Axis, Kind
 from drivers.endings import at_last, unless_done
-from drivers.laser import Guarantee, LaserSwitch
+from drivers.laser import Guarantee
 from drivers.links import ByteLink, open_link
 from drivers.modbus import Framing, ModbusBus, rtu_silence_s
 from drivers.profiler import Profiler
@@ -66,13 +66,14 @@ class OpenStation:
     table: Axis
     stage: Axis
     profiler: Profiler
-    laser: LaserSwitch
+    laser: PermittedLaser
     guarantee: Guarantee  # what the laser's switch promised when it was opened
     clock: Clock
     sleep: Sleep
     lease: Lease
     guard: Guard
     guarded: Mapping[str, float]  # by device: s from a death or a hang to the guard's word to it
+    safety: Supervisor
 
 
 @contextmanager
@@ -107,14 +108,18 @@ def open_station(
     table_settings = grbl_settings(station.table)
     stage_settings = leadshine_settings(station.stage)
     profiler_settings = baumer_ox_settings(station.profiler)
+    safety = _supervisor(station, clock)
     with ExitStack() as endings:
+        endings.callback(safety.tell, Event.CLOSE)
         guard = endings.enter_context(guarding(places_of(_addresses(station)), sleep))
-        wires = _Wires(links, clock, sleep, endings, guard)
-        laser = _laser(station.laser, wires)
+        wires = _Wires(links, clock, sleep, endings, guard, safety, _roles(station))
+        switch, inputs = switch_of(station.laser, wires)
+        laser = PermittedLaser(switch, safety)
         endings.enter_context(at_last(laser.off))
         laser.off()
         guarantee = laser.guarantee()
-        wires.hand_over(laser, getattr(station.laser, "address", ""))
+        wires.hand_over(switch, getattr(station.laser, "address", ""))
+        safety.watch(inputs)
         table = grbl.GrblAxis(wires.link(station.table.address), table_settings, clock=clock)
         endings.enter_context(at_last(table.stop))
         wires.hand_over(table, station.table.address)
@@ -126,9 +131,10 @@ def open_station(
         wires.hand_over(profiler, station.profiler.address)
         endings.enter_context(at_last(laser.off))  # before the axes, which may take their time
         lease = Lease(TTL_S, clock, guard)
+        endings.enter_context(_telling(safety))  # the first to hear, and nothing is lit after
         yield OpenStation(
             station, table, stage, profiler, laser, guarantee, clock, wires.sleep, lease, guard,
-            wires.guarded,
+            wires.guarded, safety,
         )  # fmt: skip
 
 
@@ -136,8 +142,43 @@ def open_station(
 def at_rest_unless_done(station: OpenStation) -> Iterator[None]:
     """Laser off, then the axes stopped, if the block is left by anything but its end."""
     table, stage, laser = station.table, station.stage, station.laser
-    with unless_done(table.stop), unless_done(stage.stop), unless_done(laser.off):
+    with (
+        _standing_after(station.safety),
+        unless_done(table.stop),
+        unless_done(stage.stop),
+        unless_done(laser.off),
+        _telling(station.safety),
+    ):
         yield
+
+
+@contextmanager
+def _telling(safety: Supervisor) -> Iterator[None]:
+    """Whatever passes here is told to the state machine before anybody acts on it."""
+    try:
+        yield
+    except BaseException as error:
+        safety.fail(error)
+        raise
+
+
+@contextmanager
+def _standing_after(safety: Supervisor) -> Iterator[None]:
+    """A stop that was gone to its end has stopped; drivers know whether they know where."""
+    try:
+        yield
+    except BaseException:
+        if safety.state in (State.STOPPING, State.COMPLETING):
+            safety.tell(Event.STANDS)
+        raise
+
+
+def _supervisor(station: Station, clock: Clock) -> Supervisor:
+    """The state machine of a station whose file has been read."""
+    safety = Supervisor(clock, Rules(warning_s=getattr(station.laser, "warning_s", 0.0)))
+    safety.tell(Event.SELF_TESTED)
+    safety.ask(Event.CONNECT)
+    return safety
 
 
 def grbl_settings(table: GrblTable) -> grbl.Settings:
@@ -204,6 +245,8 @@ class _Wires:
         sleep: Sleep,
         endings: ExitStack,
         guard: Guard,
+        safety: Supervisor,
+        roles: Mapping[_Address, str],
     ) -> None:
         self.clock = clock
         self.guarded: dict[str, float] = {}
@@ -211,6 +254,8 @@ class _Wires:
         self._links = links
         self._endings = endings
         self._guard = guard
+        self._safety = safety
+        self._roles = roles
         self._opened: dict[_Address, ByteLink] = {}
         self._recipes: dict[_Address, tuple[Recipe, ...]] = {}
         self._buses: dict[_Address, ModbusBus] = {}
@@ -222,7 +267,12 @@ class _Wires:
 
     def link(self, address: str) -> ByteLink:
         """Open an address."""
-        link = AttendedLink(self._links(address), self._guard)
+        role = self._roles.get(_place(address), "sensor")
+
+        def lost() -> None:
+            self._safety.lost_role = role
+
+        link = AttendedLink(self._links(address), self._guard, lost)
         self._endings.enter_context(at_last(link.close))
         self._opened[_place(address)] = link
         return link
@@ -262,6 +312,14 @@ def _place(address: str) -> _Address:
     return replace(parse_address(address), text="")
 
 
+def _roles(station: Station) -> dict[_Address, str]:
+    """What it means for the station when a link is lost; the laser's before all others."""
+    roles = {_place(each.address): "axis" for each in (station.table, station.stage)}
+    if not isinstance(station.laser, NoLaserSwitch):
+        roles[_place(station.laser.address)] = "laser"
+    return roles
+
+
 def _addresses(station: Station) -> list[str]:
     tables = (station.table, station.stage, station.profiler, station.laser)
     return [each.address for each in tables if not isinstance(each, NoLaserSwitch)]
@@ -273,46 +331,3 @@ def _profiler(settings: BaumerOx, scales: baumer_ox.Settings, wires: _Wires) -> 
     if settings.setup is not None:
         profiler.load_setup(settings.setup, wires.sleep)
     return profiler
-
-
-def _laser(settings: RelayLaser | NoLaserSwitch, wires: _Wires) -> LaserSwitch:
-    if isinstance(settings, NoLaserSwitch):
-        return _Unswitched()
-    by_coil = settings.output_by is OutputBy.COIL
-    if settings.family is RelayFamily.PLAIN and not by_coil:
-        raise ValueError('laser.output_by: a plain relay has coils only; write "coil"')
-    bus, device_id = wires.bus(settings.address), settings.device_id
-    if settings.family is RelayFamily.PLAIN:
-        return relay.PlainRelay(
-            bus, device_id, settings.output, clock=wires.clock, sleep=wires.sleep
-        )
-    return relay.WatchedBlock(
-        bus,
-        device_id,
-        relay.Coil(settings.output) if by_coil else relay.OutputBit(settings.output),
-        watchdog_s=settings.watchdog_s or 0.0,
-        clock=wires.clock,
-        sleep=wires.sleep,
-    )
-
-
-class _Unswitched:
-    """No switch: the laser is on while the sensor has power, and nobody claims otherwise."""
-
-    def identify(self) -> Identity:
-        return Identity(family="none", model="no laser switch", firmware="")
-
-    def guarantee(self) -> Guarantee:
-        return Guarantee(
-            None,
-            "laser: nothing switches it; it is on while the sensor has power: stay at the station",
-        )
-
-    def on(self) -> None:
-        """Nothing to do."""
-
-    def off(self) -> None:
-        """Nothing that could be done."""
-
-    def is_on(self) -> bool:
-        return True

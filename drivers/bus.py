@@ -52,6 +52,10 @@ class Bus(Protocol):
         """Several registers in one frame (function 16)."""
         ...
 
+    def write_coil_word(self, device_id: int, coil: int, word: int) -> None:
+        """Function 5 with a word of the device's own, beside on and off."""
+        ...
+
     def write_coil(self, device_id: int, coil: int, value: bool) -> None:  # noqa: FBT001 (a coil is one)
         """One coil (function 5)."""
         ...

@@ -209,6 +209,13 @@ class ModbusBus:
         request = WriteSingleCoilRequest(dev_id=device_id, address=coil, bits=[value])
         self._write(request, request.encode(), f"switch coil {coil:#06x} {_SWITCHED[value]}")
 
+    def write_coil_word(self, device_id: int, coil: int, word: int) -> None:
+        """Function 5 with a word of the device's own, beside on and off."""
+        self._check(device_id, coil, 1, most=1)
+        _check_words([word])
+        request = _CoilWord(device_id, coil, word)
+        self._write(request, request.encode(), f"write {word} to coil {coil:#06x}")
+
     def _read(self, request: ModbusPDU, size: int, wish: str) -> bytes:
         """The payload of a read, asked twice if need be."""
         question = Question(request, bytes([request.function_code, size]), size + 2, wish)
@@ -305,6 +312,17 @@ class ModbusBus:
 
     def _count(self, name: str, by: int = 1) -> None:
         self._tally = replace(self._tally, **{name: getattr(self._tally, name) + by})
+
+
+class _CoilWord(WriteSingleCoilRequest):
+    """A request of function 5 whose word is neither 0xFF00 nor 0."""
+
+    def __init__(self, device_id: int, coil: int, word: int) -> None:
+        super().__init__(dev_id=device_id, address=coil, bits=[True])
+        self._payload = struct.pack(">HH", coil, word)
+
+    def encode(self) -> bytes:
+        return self._payload
 
 
 def _words(payload: bytes) -> tuple[int, ...]:

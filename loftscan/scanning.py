@@ -21,6 +21,7 @@ from acquisition.frames import Kinematics
 from acquisition.opening import OpenStation
 from acquisition.plan import Plan, check_plan, read_plan
 from acquisition.poses import Sweep
+from acquisition.safety.leading import known
 from acquisition.scan import PartStands, Progress, StopRequest, Wish
 from acquisition.scan import scan as take
 from acquisition.scan_record import State
@@ -153,6 +154,8 @@ def begin(here: Prospect, devices: OpenStation, stop: StopRequest) -> ScanWriter
         device.identify()
         if stop.wish is not Wish.GO_ON:
             raise Stopped("stopped before anything moved; nothing was written")
+    known(devices)
+    devices.guard.report_to(here.out.with_suffix(".guard.jsonl"))
     return here.begin(datetime.now(UTC))
 
 

@@ -17,9 +17,9 @@ import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO
+from typing import IO, Literal
 
 _START_S = 180.0  # the first start on a machine compiles
 _END_S = 5.0
@@ -34,6 +34,20 @@ class Simulated:
     truth: Path  # mesh of the part
     witness: Path  # what truly happened, a line an event
     pid: int
+    hands: IO[str] | None = field(default=None, compare=False, repr=False)  # of the operator
+
+    def press(self, contact: Literal["estop", "interlock", "key"]) -> None:
+        """Press the emergency stop, open the interlock, turn the key off."""
+        self._do(f"press {contact}")
+
+    def release(self, contact: Literal["estop", "interlock", "key"]) -> None:
+        """Undo `press`."""
+        self._do(f"release {contact}")
+
+    def _do(self, what: str) -> None:
+        hands = _pipe(self.hands)
+        hands.write(f"{what}\n")
+        hands.flush()
 
     def __fspath__(self) -> str:
         return str(self.station)
@@ -127,7 +141,7 @@ def _told(process: subprocess.Popen[str], said: Path) -> Simulated:
     station, plan, truth, witness = (
         Path(told[name]) for name in ("station", "plan", "truth", "witness")
     )
-    return Simulated(station, plan, truth, witness, int(told["pid"]))
+    return Simulated(station, plan, truth, witness, int(told["pid"]), process.stdin)
 
 
 def _end(process: subprocess.Popen[str]) -> None:

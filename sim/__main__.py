@@ -21,6 +21,7 @@ from typing import NoReturn
 from sim.faults import FAULTS, parse_faults
 from sim.lasers import LaserWiring
 from sim.parts import PARTS, find_part
+from sim.relay import Contact, RelayBlock
 from sim.serving import Ending, Server
 from sim.stations import (
     PLAN_RINGS,
@@ -88,7 +89,7 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
             files.plan.write_text(plan, encoding="utf-8")
             files.station.write_text(station_toml(layout, addresses, part.name), encoding="utf-8")
             if wanted.while_stdin_open:
-                _end_with_stdin(server, ending)
+                _end_with_stdin(server, ending, devices.relay)
             _tell(files, as_json=wanted.json)
             server.run(ending)
 
@@ -103,9 +104,17 @@ def _files(wanted: argparse.Namespace, folder: Path) -> _Files:
     return _Files(station, out / "plan.toml", out / "truth.ply", witness)
 
 
-def _end_with_stdin(server: Server, ending: Ending) -> None:
+def _end_with_stdin(server: Server, ending: Ending, relay: RelayBlock) -> None:
+    """End with whoever holds the pipe; ``press estop`` and ``release estop`` on it are done."""
+
+    def heed(line: str) -> None:
+        verb, _, name = line.strip().partition(" ")
+        contact = Contact.__members__.get(name.upper())
+        if contact is not None and verb in ("press", "release"):
+            (relay.press if verb == "press" else relay.release)(contact)
+
     try:
-        server.end_with(0, ending)
+        server.end_with(0, ending, heed)
     except PermissionError as file:
         raise ValueError(
             "--while-stdin-open: stdin is a file, which stays open; give a pipe"

@@ -13,11 +13,12 @@ from enum import Enum
 from sim.device import Device
 from sim.grbl import GrblBoard, GrblSettings
 from sim.motion import AxisMotion, Limits
-from sim.relay import Block, RelaySettings
+from sim.relay import Block, Contact, RelaySettings
 from sim.witness import Witness
 from sim.world import World, WorldAxis
 
 _BITS_A_CHARACTER = 10
+_UNWARNED = "warning_s = 0.0  # nobody stands at a simulated laser"
 
 
 class LaserWiring(Enum):
@@ -60,7 +61,7 @@ def laser_table(wiring: LaserWiring, address: str, *, device_id: int, watchdog_s
     if wiring is LaserWiring.NONE:
         return 'switch = "none"'
     if wiring is LaserWiring.GRBL:
-        return f'switch = "grbl"\naddress = "{address}"'
+        return f'switch = "grbl"\naddress = "{address}"\n{_UNWARNED}'
     family = {LaserWiring.TURCK: "turck", LaserWiring.TIMED: "timed"}.get(wiring, "plain")
     lines = [
         'switch = "relay"',
@@ -69,9 +70,11 @@ def laser_table(wiring: LaserWiring, address: str, *, device_id: int, watchdog_s
         f"device_id = {device_id}",
         'output_by = "coil"',
         "output = 0",
+        _UNWARNED,
     ]
     if family == "turck":
         lines.append(f"watchdog_s = {watchdog_s}")
+        lines += [f"{each.name.lower()}_input = {each.value}" for each in Contact]
     return "\n".join(lines)
 
 

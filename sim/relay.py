@@ -54,6 +54,14 @@ class Block(Enum):
     TIMED = "relay board: coils, and a timed on of each"
 
 
+class Contact(Enum):
+    """A contact of the safety chain, by the input that it closes while all is well."""
+
+    ESTOP = 0
+    INTERLOCK = 1
+    KEY = 2
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RelaySettings:
     """How a block leaves its maker, and what is wired to it."""
@@ -86,6 +94,7 @@ class RelayBlock:
         self._parameters = dict(self._saved)
         self._heard_s: float | None = None  # None: nothing yet, so nothing to lose
         self._drops_s = [math.inf] * self._settings.outputs  # when a timed on is over
+        self._open: set[Contact] = set()
         self._half: tuple[int, int, float] | None = None  # a password's register, half and time
 
     def heard(self, now_s: float) -> None:
@@ -132,11 +141,11 @@ class RelayBlock:
         self._switch(after, now_s, why=f"coil {self._settings.laser_output}")
 
     def read_discrete(self, first: int, count: int, now_s: float) -> Sequence[bool]:
-        """Inputs: nothing is wired to them."""
+        """Inputs: the safety chain's contacts, and beyond them nothing is wired."""
         self._check_registers()
         if first + count > 16 * len(_INPUTS):
             raise ModbusRefusal(_ILLEGAL_ADDRESS)
-        return [False] * count
+        return [bool(self._inputs() >> number & 1) for number in range(first, first + count)]
 
     def read_holding(self, first: int, count: int, now_s: float) -> Sequence[int]:
         """Process data, identity, watchdog."""
@@ -162,6 +171,17 @@ class RelayBlock:
         self._parameters = dict(self._saved)
         self._heard_s = None
         self._switch([False] * len(self._outputs), now_s, why="power")
+
+    def press(self, contact: Contact) -> None:
+        """Open a contact of the safety chain: press the button, open the door, turn the key off."""
+        self._open.add(contact)
+
+    def release(self, contact: Contact) -> None:
+        """Close it again."""
+        self._open.discard(contact)
+
+    def _inputs(self) -> int:
+        return sum(1 << each.value for each in Contact if each not in self._open)
 
     def _as_delivered(self) -> dict[int, int]:
         delivered = dict.fromkeys(_PARAMETERS, 0)
@@ -189,6 +209,8 @@ class RelayBlock:
     def _word(self, address: int, now_s: float) -> int:
         if address in (_OUTPUTS[0], _OUTPUTS_AGAIN[0]):
             return sum(state << k for k, state in enumerate(self._outputs))
+        if address == _INPUTS[0]:
+            return self._inputs()
         if address in _IDENTIFIER:
             return _text_word(self._settings.name, address - _IDENTIFIER[0])
         if address == _WATCHDOG_LEFT_MS:

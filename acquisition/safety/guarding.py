@@ -30,6 +30,7 @@ from typing import Any, Protocol
 from acquisition.errors import GuardLost
 from acquisition.safety import guard as guard_process
 from acquisition.safety.places import Place, wait_for_its_turn
+from drivers.errors import LinkLost
 from drivers.links import ByteLink, descriptor_of
 from drivers.recipes import Recipe
 
@@ -208,12 +209,12 @@ class GuardProcess:
 
 
 class AttendedLink:
-    """A link whose reads tell the guard that their thread is alive."""
+    """A link whose reads tell the guard that their thread is alive; it says when it is lost."""
 
-    def __init__(self, link: ByteLink, guard: Guard) -> None:
+    def __init__(self, link: ByteLink, guard: Guard, lost: Callable[[], object]) -> None:
         self._link = link
         self._guard = guard
-        self.write = link.write
+        self._lost = lost
         self.close = link.close
 
     @property
@@ -227,9 +228,23 @@ class AttendedLink:
 
     def read(self, timeout_s: float) -> bytes:
         """Return what has arrived, waiting at most `timeout_s` for the first byte."""
-        data = self._link.read(timeout_s)
+        with self._noticing_loss():
+            data = self._link.read(timeout_s)
         self._guard.attend()
         return data
+
+    def write(self, data: bytes) -> None:
+        """Send all of `data`."""
+        with self._noticing_loss():
+            self._link.write(data)
+
+    @contextmanager
+    def _noticing_loss(self) -> Iterator[None]:
+        try:
+            yield
+        except LinkLost:
+            self._lost()
+            raise
 
 
 def first_word_s(ttl_s: float, quiet_s: float, wire_s: float) -> float:

@@ -17,6 +17,8 @@ from acquisition.opening import OpenStation
 from acquisition.plan import Plan, StepAndShoot, ring
 from acquisition.poses import Sweep
 from acquisition.safety.guarding import NoGuard
+from acquisition.safety.states import Event, Rules
+from acquisition.safety.supervising import PermittedLaser, Supervisor
 from acquisition.scan import (
     PartStands,
     Progress,
@@ -241,9 +243,13 @@ def rig(settings: Station = STATION, **bench: object) -> Rig:
     stage = FakeAxis(made, "stage", Kind.LINEAR)
     profiler, laser = FakeProfiler(made), FakeLaser(made)
     promise = laser.guarantee()
+    safety = Supervisor(made.clock, Rules(warning_s=0.0))
+    safety.tell(Event.SELF_TESTED)
+    safety.tell(Event.CONNECT)
+    safety.tell(Event.OFF_CONFIRMED)
     station = OpenStation(
-        settings, table, stage, profiler, laser, promise, made.clock, made.sleep,
-        Lease(TTL_S, made.clock), NoGuard(), {},
+        settings, table, stage, profiler, PermittedLaser(laser, safety), promise, made.clock,
+        made.sleep, Lease(TTL_S, made.clock), NoGuard(), {}, safety,
     )  # fmt: skip
     return Rig(made, table, stage, profiler, laser, station)
 
