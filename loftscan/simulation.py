@@ -44,6 +44,14 @@ class Simulated:
         """Undo `press`."""
         self._do(f"release {contact}")
 
+    def pull_the_lasers_cable(self) -> None:
+        """Nothing that is said to what switches the laser arrives any more."""
+        self._do("pull cable")
+
+    def plug_the_lasers_cable(self) -> None:
+        """It arrives again."""
+        self._do("plug cable")
+
     def _do(self, what: str) -> None:
         hands = _pipe(self.hands)
         hands.write(f"{what}\n")

@@ -21,11 +21,12 @@ from typing import NoReturn
 from sim.faults import FAULTS, parse_faults
 from sim.lasers import LaserWiring
 from sim.parts import PARTS, find_part
-from sim.relay import Contact, RelayBlock
+from sim.relay import Contact
 from sim.serving import Ending, Server
 from sim.stations import (
     PLAN_RINGS,
     PLAN_STOPS,
+    Devices,
     Layout,
     build,
     connect,
@@ -89,7 +90,7 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
             files.plan.write_text(plan, encoding="utf-8")
             files.station.write_text(station_toml(layout, addresses, part.name), encoding="utf-8")
             if wanted.while_stdin_open:
-                _end_with_stdin(server, ending, devices.relay)
+                _end_with_stdin(server, ending, devices)
             _tell(files, as_json=wanted.json)
             server.run(ending)
 
@@ -104,14 +105,21 @@ def _files(wanted: argparse.Namespace, folder: Path) -> _Files:
     return _Files(station, out / "plan.toml", out / "truth.ply", witness)
 
 
-def _end_with_stdin(server: Server, ending: Ending, relay: RelayBlock) -> None:
-    """End with whoever holds the pipe; ``press estop`` and ``release estop`` on it are done."""
+def _end_with_stdin(server: Server, ending: Ending, devices: Devices) -> None:
+    """End with whoever holds the pipe.
+
+    On it ``press estop``, ``release estop``, and the same of interlock and key, are done; and
+    ``pull cable``, ``plug cable``: the one of what switches the laser.
+    """
+    whole = devices.laser_cable.answers
 
     def heed(line: str) -> None:
         verb, _, name = line.strip().partition(" ")
         contact = Contact.__members__.get(name.upper())
         if contact is not None and verb in ("press", "release"):
-            (relay.press if verb == "press" else relay.release)(contact)
+            (devices.relay.press if verb == "press" else devices.relay.release)(contact)
+        elif name == "cable" and verb in ("pull", "plug"):
+            devices.laser_cable.answers = 0 if verb == "pull" else whole
 
     try:
         server.end_with(0, ending, heed)

@@ -44,6 +44,7 @@ _DEVICE_ID = 1
 _CLEAR_OF_SWITCH_MM = 2.0
 PLAN_RINGS, PLAN_STOPS = 40, 12
 _SOUND = Faults()
+_FOR_EVER = 1 << 62  # answers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,6 +109,7 @@ class Devices:
     profiler: OxSensor
     relay: RelayBlock
     laser_board: GrblBoard  # speaks where its spindle output switches the laser
+    laser_cable: Breath  # of whatever switches the laser; none is a cable that was pulled
 
     def lively(self, now_s: float) -> bool:
         """Whether anything moves or measures."""
@@ -154,6 +156,7 @@ def build(
         OxSensor(world, OxSettings(rate_hz=layout.rate_hz)),
         RelayBlock(world, relay_settings(layout.laser)),
         spindle_board(world, witness),
+        Breath(faults.silent_after.get(Speaker.RELAY, _FOR_EVER)),
     )
 
 
@@ -177,7 +180,12 @@ def connect(
     return Addresses(
         table=f"serial://{table.path}?baud={_TABLE_BAUD}",
         stage=f"serial://{stage.path}?baud={layout.stage_baud}",
-        profiler=_listen(devices.profiler, Speaker.PROFILER, layout.profiler_port, faults, server),
+        profiler=_listen(
+            devices.profiler,
+            Breath(faults.silent_after.get(Speaker.PROFILER, _FOR_EVER)),
+            layout.profiler_port,
+            server,
+        ),
         profiles=profiles.address,
         laser=_laser_address(devices, layout, faults, server, folder),
     )
@@ -190,11 +198,11 @@ def _laser_address(
     if layout.laser is LaserWiring.NONE:
         return ""
     if (baud := layout.laser.baud) is None:
-        return _listen(devices.relay, Speaker.RELAY, layout.relay_port, faults, server)
+        return _listen(devices.relay, devices.laser_cable, layout.relay_port, server)
     grbl = layout.laser is LaserWiring.GRBL
     device: Device = devices.laser_board if grbl else RtuServer({_DEVICE_ID: devices.relay})
     pty = Pty(folder / "laser")
-    server.serve_pty(pty, Slow(_on_serial_line(device, Speaker.RELAY, faults), baud))
+    server.serve_pty(pty, Slow(Silent(device, devices.laser_cable), baud))
     return f"serial://{pty.path}?baud={baud}"
 
 
@@ -314,13 +322,11 @@ def _over_network(source: Broadcaster, faults: Faults) -> Broadcaster:
     return Dropping(source, faults.drop_every) if faults.drop_every else source
 
 
-def _listen(unit: ModbusUnit, speaker: Speaker, port: int, faults: Faults, server: Server) -> str:
+def _listen(unit: ModbusUnit, breath: Breath, port: int, server: Server) -> str:
     """Give one unit a port of its own; all its connections share one breath."""
-    breath = Breath(faults.silent_after[speaker]) if speaker in faults.silent_after else None
 
     def session() -> Device:
-        served = TcpSession({_DEVICE_ID: unit})
-        return served if breath is None else Silent(served, breath)
+        return Silent(TcpSession({_DEVICE_ID: unit}), breath)
 
     listener = TcpListener(port)
     server.serve_tcp(listener, session)

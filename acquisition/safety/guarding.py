@@ -71,6 +71,11 @@ class Guard(Protocol):
         """Name the file that a report of its acts is appended to."""
         ...
 
+    @property
+    def process_id(self) -> int | None:
+        """Its process, if it is one."""
+        ...
+
 
 class NoGuard:
     """Nobody watches: for links inside one process, which nobody else could reach."""
@@ -96,6 +101,11 @@ class NoGuard:
 
     def report_to(self, file: Path) -> None:
         """Nothing will be reported."""
+
+    @property
+    def process_id(self) -> int | None:
+        """It is none."""
+        return None
 
 
 class GuardProcess:
@@ -123,6 +133,11 @@ class GuardProcess:
             self._process.kill()
             self._process.wait()
             raise
+
+    @property
+    def process_id(self) -> int | None:
+        """Its process."""
+        return self._process.pid
 
     def lock(self, files: Sequence[str]) -> Mapping[str, Any]:
         """Ask for the locks of some places; ``ok``, or else ``file`` and its ``holder``."""

@@ -1,4 +1,4 @@
-"""The state machine at a station: what it lets pass, what it is told, and the chain that it reads."""
+"""The state machine at a station: what it lets pass, what it is told, the chain that it reads."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ def test_the_chain_is_mirrored_within_50_ms_and_latched(
     safety.look()
     chain.now = tripped
     looks_s = []
-    with pytest.raises(InputTripped, match=said) as raised:
+    with pytest.raises(InputTripped, match=said) as raised:  # noqa: PT012
         for _ in range(100):
             clock.now_s += 0.005
             looks_s.append(clock.now_s)
