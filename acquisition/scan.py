@@ -185,11 +185,11 @@ class _Scan:
                     if not done:
                         self._prepare(resumed=len(wanted) < self._plan.ring.count)
                     sweep = self._sweep(target, done, len(wanted))
+                if done == len(wanted) - 1:
+                    # What this asks for was done with the slice: dark, read back, and standing.
+                    safety.tell(Event.COMPLETE)
+                    safety.tell(Event.STANDS)
                 yield sweep
-            if safety.state is State.SCANNING:
-                # What this asks for was done with the last slice: dark, read back, and standing.
-                safety.tell(Event.COMPLETE)
-                safety.tell(Event.STANDS)
         finally:
             if safety.state is State.SCANNING:
                 safety.ask(Event.PAUSE)
