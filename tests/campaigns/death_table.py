@@ -28,26 +28,29 @@ _OTHERS, _FEWEST = 10, 30  # of the devices after the first: a tenth, and at lea
 _OF_THE_HARDWARE = 30  # they wait for time-outs of seconds
 SCALE = 8.0
 _HEAD = (
-    "device", "way", "N", "lit", "laser max", "p99", "bound", "axes max", "failed", "rate below"
+    "device", "way", "N", "lit", "laser max", "p99", "bound", "axes max", "stalled", "failed", "rate below"
 )  # fmt: skip
-_WIDTHS = (11, 17, 5, 5, 10, 7, 7, 9, 7, 11)
+_WIDTHS = (11, 17, 5, 5, 10, 7, 7, 9, 8, 7, 11)
 
 
-def all_deaths(devices: Sequence[str], runs: int, *, seed: int, jobs: int) -> list[str]:
-    """Let owners die at every device; tell a table; what was broken."""
+def all_deaths(
+    devices: Sequence[str], runs: int, *, ways: Sequence[str], seed: int, jobs: int
+) -> list[str]:
+    """Let owners die at every device, in all ways or those named; tell a table; what was broken."""
     _tell(_HEAD)
     found: list[str] = []
     for number, device in enumerate(devices):
         count = runs if number == 0 else min(runs, max(_FEWEST, runs // _OTHERS))
-        found += _one_device(device, count, seed, jobs)
+        found += _one_device(device, count, ways, seed, jobs)
     return found
 
 
-def _one_device(device: str, count: int, seed: int, jobs: int) -> list[str]:
+def _one_device(device: str, count: int, ways: Sequence[str], seed: int, jobs: int) -> list[str]:
     """Deal the owners out to stations of their own."""
     wished = [(death, count) for death in DEATHS]
     if device == "turck":
         wished += [(death, min(count, _OF_THE_HARDWARE)) for death in OF_THE_HARDWARE]
+    wished = [(death, number) for death, number in wished if not ways or death.name in ways]
     cards = [
         (death, phase, delay_s)
         for death, number in wished
@@ -82,6 +85,7 @@ def _row(device: str, death: Death, ends: Sequence[End]) -> tuple[str, ...]:
         *_of_those(dark_ms),
         f"{1000.0 * max((end.bound_s for end in ends), default=0.0):.0f}",
         f"{axes_ms:.0f}",
+        str(sum(end.stalled for end in ends)),
         str(failed),
         f"{100.0 * failure_bound(failed, len(ends)):.1f} %",
     )

@@ -94,6 +94,7 @@ class End:
     was_lit: bool
     bound_s: float
     broken: tuple[str, ...]
+    stalled: bool = False  # ended by the guard before its own way out was gone to its end
 
     def complaints(self) -> list[str]:
         """What was not as promised."""
@@ -245,9 +246,12 @@ def _judged(
         broken.append("the laser stayed on")
     if death.reach in ("way out", "guard") and axes_s > OWN_WAY_S:
         broken.append(f"an axis moved for {1000.0 * axes_s:.0f} ms")
-    if code not in death.codes and not (death.lit_only and phase != "exposing"):
+    # A machine that stalls for longer than a lease is a hang like any other: the guard ends it.
+    stalled = death.reach == "way out" and code == -signal.SIGKILL
+    if code not in death.codes and not stalled and not (death.lit_only and phase != "exposing"):
         broken.append(f"it ended with {code}")
-    return End(death, phase, laser_s, axes_s, lasted_at(lights, struck_s), bound_s, tuple(broken))
+    was_lit = lasted_at(lights, struck_s)
+    return End(death, phase, laser_s, axes_s, was_lit, bound_s, tuple(broken), stalled)
 
 
 def instants(seed: list[int]) -> Iterator[tuple[str, float]]:

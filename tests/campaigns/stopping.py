@@ -113,7 +113,11 @@ def main(words: Sequence[str] | None = None) -> int:
         found += _one_kind(kind, wanted)
     if wanted.owners:
         found += all_deaths(
-            wanted.devices.split(","), wanted.owners, seed=wanted.seed, jobs=wanted.jobs
+            wanted.devices.split(","),
+            wanted.owners,
+            ways=wanted.ways.split(",") if wanted.ways else (),
+            seed=wanted.seed,
+            jobs=wanted.jobs,
         )
     sys.stdout.write("".join(f"broken: {each}\n" for each in found))
     sys.stdout.write(f"load {os.getloadavg()[0]:.1f}; {len(found)} bounds broken\n")
@@ -141,6 +145,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--faults", default="", help="of the station, as `python -m sim` has them")
     parser.add_argument("--owners", type=int, default=300, help="deaths of each kind; 0: none")
     parser.add_argument("--devices", default=DEVICES, help="that switch the laser, a comma list")
+    parser.add_argument("--ways", default="", help="only these deaths, by name, a comma list")
     parser.add_argument("--jobs", type=int, default=3, help="stations at a time")
     parser.add_argument("--kinds", default="", help="only these, by name, a comma list")
     return parser
