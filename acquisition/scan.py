@@ -26,10 +26,12 @@ from enum import Enum
 import numpy as np
 
 from acquisition.errors import LeaseLapsed, Stopped, ZeroLost
-from acquisition.lease import LONGEST_WAIT_S, TTL_S, Lease, lasing, pausing
+from acquisition.lease import LONGEST_WAIT_S, lasing, pausing
 from acquisition.opening import OpenStation, at_rest_unless_done
 from acquisition.plan import Plan, Target, check_plan, targets
 from acquisition.poses import Pose, Sweep
+from acquisition.safety.leading import arm, begin_homing, homed, known
+from acquisition.safety.states import Event, State
 from acquisition.station import BaumerOx, GrblTable, TableZero
 from drivers.axis import Axis, AxisState, Motion
 from drivers.errors import NoReply, Refused
@@ -165,22 +167,37 @@ class _Scan:
         self._stop = stop
         self._part = part
         self._progress = progress
-        self._lease = Lease(TTL_S, station.clock)
-        self._pause = pausing(self._lease, stop.look, station.sleep)
+        self._lease = station.lease
+        self._pause = pausing(self._lease, self._look, station.sleep)
         self._patience_s = _PATIENCE_S + 3.0 / station.settings.profiler.rate_hz
         self._lost_profiles = 0
         self._lost_in_a_row = 0
 
     def sweeps(self, wanted: list[Target]) -> Generator[Sweep]:
-        for done, target in enumerate(wanted):
-            if self._stop.wish is Wish.PAUSE:
-                return
-            with at_rest_unless_done(self._station):
-                self._stop.look()
-                if not done:
-                    self._prepare(resumed=len(wanted) < self._plan.ring.count)
-                sweep = self._sweep(target, done, len(wanted))
-            yield sweep
+        """Take them, one after the other; the state machine is told of all that happens."""
+        safety = self._station.safety
+        try:
+            for done, target in enumerate(wanted):
+                if self._stop.wish is Wish.PAUSE:
+                    return
+                with at_rest_unless_done(self._station):
+                    self._look()
+                    if not done:
+                        self._prepare(resumed=len(wanted) < self._plan.ring.count)
+                    sweep = self._sweep(target, done, len(wanted))
+                if done == len(wanted) - 1:
+                    # What this asks for was done with the slice: dark, read back, and standing.
+                    safety.tell(Event.COMPLETE)
+                    safety.tell(Event.STANDS)
+                yield sweep
+        finally:
+            if safety.state is State.SCANNING:
+                safety.ask(Event.PAUSE)
+
+    def _look(self) -> None:
+        """Raise what ends the scan: the operator's wish, or the hardware's safety chain."""
+        self._stop.look()
+        self._station.safety.look()
 
     def _prepare(self, *, resumed: bool) -> None:
         """Laser off, everybody who they should be, both axes standing and homed."""
@@ -188,13 +205,20 @@ class _Scan:
         station.laser.off()
         for device in (station.laser, station.profiler, station.table, station.stage):
             device.identify()
+        known(station)
         for axis in (station.stage, station.table):
             self._bring_to_rest(axis)
         if resumed and not station.table.state().homed:
             self._must_know_the_zero()
+        begin_homing(station)
         for axis in (station.stage, station.table):
             if not axis.state().homed:
                 axis.home(self._pause)
+        homed(station)
+        station.safety.ask(Event.VALIDATE)
+        station.safety.tell(Event.VALIDATED)  # before anything was opened: `check_plan`
+        arm(station, self._pause)
+        station.safety.ask(Event.START)
 
     def _must_know_the_zero(self) -> None:
         table = self._station.settings.table
@@ -269,7 +293,7 @@ class _Scan:
             station.profiler.discard()
             deadline_s = station.clock() + self._patience_s
             while True:
-                self._stop.look()
+                self._look()
                 try:
                     return next(station.profiler.profiles(_LOOK_S))
                 except NoReply as silence:

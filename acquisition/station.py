@@ -27,6 +27,16 @@ def _reached(meaning: str, starts: tuple[str, ...]) -> Key:
     return Key(meaning, starts=starts, parse=parse_address)
 
 
+def _chain(what: str) -> Key:
+    meaning = f"the block's input that {what} closes while all is well; absent: not wired"
+    return Key(meaning, at_least=0, at_most=15)
+
+
+_WARNING = Key(
+    "told before the laser may be lit; 0 where nobody stands", at_least=0.0, at_most=60.0
+)
+
+
 class GrblLetter(Enum):
     """Which of Grbl's axes turns the table."""
 
@@ -81,6 +91,7 @@ class RelayFamily(Enum):
 
     TURCK = "turck"  # an I/O block with a communication watchdog
     PLAIN = "plain"  # a relay without one
+    TIMED = "timed"  # a relay that can be switched on for a time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -172,7 +183,10 @@ class RelayLaser:
 
     SELECTOR: ClassVar = "switch"
     switch: ClassVar = "relay"
-    family: Annotated[RelayFamily, Key("turck (with a watchdog of its own) or plain (without)")]
+    family: Annotated[
+        RelayFamily,
+        Key("turck (with a watchdog of its own), plain (without) or timed (on for 0.3 s)"),
+    ]
     address: Annotated[str, _reached("the relay's Modbus", _SERIAL_OR_TCP)]
     device_id: Annotated[int, Key("the relay's Modbus id", at_least=0, at_most=247)] = 1
     output_by: Annotated[OutputBy, Key("coil or register bit: how outputs are addressed")] = (
@@ -187,14 +201,36 @@ class RelayLaser:
             at_most=10.0,
         ),
     ] = None
+    warning_s: Annotated[float, _WARNING] = 3.0
+    estop_input: Annotated[int | None, _chain("the emergency stop")] = None
+    interlock_input: Annotated[int | None, _chain("the interlock or door")] = None
+    key_input: Annotated[int | None, _chain("the key switch")] = None
 
     def __post_init__(self) -> None:
+        chain = {"estop_input": self.estop_input, "interlock_input": self.interlock_input,
+                 "key_input": self.key_input}  # fmt: skip
+        wired = [name for name, number in chain.items() if number is not None]
+        if wired and self.family is not RelayFamily.TURCK:
+            raise ValueError(f"{wired[0]}: a {self.family.value} relay has none; remove the key")
         if self.output_by is OutputBy.REGISTER_BIT and self.output > 15:
             raise ValueError(f"output: {self.output}: a register has the bits 0 to 15")
-        if self.family is RelayFamily.PLAIN and self.watchdog_s is not None:
-            raise ValueError("watchdog_s: a plain relay has none; remove the key")
+        if self.family is not RelayFamily.TURCK and self.watchdog_s is not None:
+            raise ValueError(f"watchdog_s: a {self.family.value} relay has none; remove the key")
         if self.family is RelayFamily.TURCK and self.watchdog_s is None:
             raise ValueError("watchdog_s is missing; add watchdog_s = 0.25")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GrblLaser:
+    """The spindle output of a Grbl board of its own in the sensor's interlock or supply line."""
+
+    SELECTOR: ClassVar = "switch"
+    switch: ClassVar = "grbl"
+    address: Annotated[str, _reached("the board's port", _SERIAL_OR_TCP)]
+    warning_s: Annotated[float, _WARNING] = 3.0
+    safety_pins: Annotated[
+        bool, Key("true: its reset pin is the emergency stop's, its door pin the interlock's")
+    ] = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -218,8 +254,8 @@ class Station:
     stage: Annotated[StageSettings, Key("what lifts the laser plane or the part")]
     profiler: Annotated[BaumerOx, Key("what measures")]
     laser: Annotated[
-        RelayLaser | NoLaserSwitch,
-        Key('what switches the laser: "relay", or "none" (then no unattended runs)'),
+        RelayLaser | GrblLaser | NoLaserSwitch,
+        Key('what switches the laser: "relay", "grbl", or "none" (then no unattended runs)'),
     ]
     kinematics: Annotated[Kinematics, Key("how axes and sensor stand; see docs/frames.md")]
 

@@ -30,6 +30,7 @@ from enum import Enum
 from statistics import median
 from threading import RLock
 
+from pymodbus.framer import FramerRTU
 from pymodbus.pdu import ModbusPDU
 from pymodbus.pdu.bit_message import ReadCoilsRequest, WriteSingleCoilRequest
 from pymodbus.pdu.register_message import (
@@ -59,6 +60,9 @@ _LONGEST_HEARD = 1024  # bytes of what came to one question, twice or late
 _LONGER_THAN_USUAL = 1.5
 _PASSING = (6, 8)  # busy, and Leadshine's "your request had a bad CRC": a read may ask again
 _RTU_BITS_A_CHARACTER = 11
+_FIFO_CHARACTERS = 64
+_TURNROUND_S = 0.015  # of a device that was asked something just before
+_RECITED = 0xFFFF  # our own transactions begin at 1
 _SWITCHED = {False: "off", True: "on"}
 
 
@@ -103,7 +107,9 @@ class ModbusBus:
     slowest_reply_s : float
         No device of this bus answers later than so long after it was asked.
     silence_s : float
-        Around each RTU request and its reply; see `rtu_silence_s`.
+            Around each RTU request and its reply; see `rtu_silence_s`.
+    baud : int
+        Of an RTU line: how long its bytes take, for those who say a recipe.
     clock, sleep
         Monotonic seconds; and how the quarantine is waited out, 50 ms at most at a time. The sleep
         may raise to give up; nothing has been sent then.
@@ -118,6 +124,7 @@ class ModbusBus:
         slowest_reply_s: float,
         silence_s: float = 0.005,
         echo: Echo = Echo.NONE,
+        baud: int = 9600,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], object] = time.sleep,
     ) -> None:
@@ -129,6 +136,7 @@ class ModbusBus:
         self._slowest_reply_s = slowest_reply_s
         self._silence_s = silence_s if framing is Framing.RTU else 0.0
         self._echo = echo
+        self._baud = baud
         self._clock = clock
         self._sleep = sleep
         # Re-entrant: a signal's handler may switch the laser off amid a request; the request then
@@ -149,6 +157,28 @@ class ModbusBus:
     def address(self) -> str:
         """The address of the link, for messages."""
         return self._link.address
+
+    def framed(self, device_id: int, pdu: bytes) -> bytes:
+        """A frame for somebody else to send or to expect; its transaction is none of ours."""
+        if self._framing is Framing.RTU:
+            body = bytes([device_id]) + pdu
+            return body + FramerRTU.compute_CRC(body).to_bytes(2, "big")
+        return struct.pack(">HHHB", _RECITED, 0, len(pdu) + 1, device_id) + pdu
+
+    def wire_s(self, size: int) -> float:
+        """Seconds that so many bytes take; on a network none worth counting."""
+        rtu = self._framing is Framing.RTU
+        return size * _RTU_BITS_A_CHARACTER / self._baud if rtu else 0.0
+
+    @property
+    def quiet_s(self) -> float:
+        """Silence after which nothing of a dead program is on its way here or there.
+
+        A serial line: what its sender still holds (64 characters) and a reply's delay. A TCP
+        connection keeps order by itself, and every answer names its question.
+        """
+        rtu = self._framing is Framing.RTU
+        return _TURNROUND_S + self.wire_s(_FIFO_CHARACTERS) if rtu else 0.0
 
     def tally(self) -> BusTally:
         """What happened so far."""
@@ -195,6 +225,13 @@ class ModbusBus:
         self._check(device_id, coil, 1, most=1)
         request = WriteSingleCoilRequest(dev_id=device_id, address=coil, bits=[value])
         self._write(request, request.encode(), f"switch coil {coil:#06x} {_SWITCHED[value]}")
+
+    def write_coil_word(self, device_id: int, coil: int, word: int) -> None:
+        """Function 5 with a word of the device's own, beside on and off."""
+        self._check(device_id, coil, 1, most=1)
+        _check_words([word])
+        request = _CoilWord(device_id, coil, word)
+        self._write(request, request.encode(), f"write {word} to coil {coil:#06x}")
 
     def _read(self, request: ModbusPDU, size: int, wish: str) -> bytes:
         """The payload of a read, asked again if need be."""
@@ -346,6 +383,17 @@ class ModbusBus:
 
     def _count(self, name: str, by: int = 1) -> None:
         self._tally = replace(self._tally, **{name: getattr(self._tally, name) + by})
+
+
+class _CoilWord(WriteSingleCoilRequest):
+    """A request of function 5 whose word is neither 0xFF00 nor 0."""
+
+    def __init__(self, device_id: int, coil: int, word: int) -> None:
+        super().__init__(dev_id=device_id, address=coil, bits=[True])
+        self._payload = struct.pack(">HH", coil, word)
+
+    def encode(self) -> bytes:
+        return self._payload
 
 
 def _words(payload: bytes) -> tuple[int, ...]:

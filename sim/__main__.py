@@ -22,11 +22,14 @@ from typing import NoReturn
 from sim.axes import StageFamily, TableFamily
 from sim.cabling import Cabling
 from sim.faults import FAULTS, parse_faults
+from sim.lasers import LaserWiring
 from sim.parts import PARTS, find_part
+from sim.relay import Contact
 from sim.serving import Ending, Server
 from sim.stations import (
     PLAN_RINGS,
     PLAN_STOPS,
+    Devices,
     Layout,
     build,
     connect,
@@ -80,6 +83,7 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
         outlier_rate=wanted.outliers,
         table_family=TableFamily(wanted.table),
         stage_family=StageFamily(wanted.stage),
+        laser=LaserWiring(wanted.laser),
     )
     files = _files(wanted, folder)
     with WitnessLog(files.witness) as witness:
@@ -93,7 +97,7 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
             files.plan.write_text(plan, encoding="utf-8")
             files.station.write_text(station_toml(layout, addresses, part.name), encoding="utf-8")
             if wanted.while_stdin_open:
-                _end_with_stdin(server, ending)
+                _end_with_stdin(server, ending, devices)
             _tell(files, as_json=wanted.json)
             server.run(ending)
 
@@ -108,9 +112,24 @@ def _files(wanted: argparse.Namespace, folder: Path) -> _Files:
     return _Files(station, out / "plan.toml", out / "truth.ply", witness)
 
 
-def _end_with_stdin(server: Server, ending: Ending) -> None:
+def _end_with_stdin(server: Server, ending: Ending, devices: Devices) -> None:
+    """End with whoever holds the pipe.
+
+    On it ``press estop``, ``release estop``, and the same of interlock and key, are done; and
+    ``pull cable``, ``plug cable``: the one of what switches the laser.
+    """
+    whole = devices.laser_cable.answers
+
+    def heed(line: str) -> None:
+        verb, _, name = line.strip().partition(" ")
+        contact = Contact.__members__.get(name.upper())
+        if contact is not None and verb in ("press", "release"):
+            (devices.relay.press if verb == "press" else devices.relay.release)(contact)
+        elif name == "cable" and verb in ("pull", "plug"):
+            devices.laser_cable.answers = 0 if verb == "pull" else whole
+
     try:
-        server.end_with(0, ending)
+        server.end_with(0, ending, heed)
     except PermissionError as file:
         raise ValueError(
             "--while-stdin-open: stdin is a file, which stays open; give a pipe"
@@ -159,6 +178,8 @@ def _parser() -> argparse.ArgumentParser:
     option("--rings", type=_count_from(1), default=PLAN_RINGS, help="of plan.toml")
     option("--stops", type=_count_from(3), default=PLAN_STOPS, help="of the table, in each ring")
     option("--faults", default="", metavar="NAME,NAME=N", help="what is wrong; --list names all")
+    wirings = [each.value for each in LaserWiring]
+    option("--laser", choices=wirings, default=normal.laser.value, help="what switches the laser")
     option("--out", type=Path, metavar="DIR", help="keeps the files; absent: gone at the end")
     option("--station", type=Path, metavar="FILE", help="for station.toml alone")
     option("--witness", type=Path, metavar="FILE", help="for the log of what truly happened alone")

@@ -52,9 +52,9 @@ class Cabling:
         first = speakers[0]
         return self._laid(device, first, Carrier.SERIAL, self._dice(first, "serial"))
 
-    def tcp(self, speaker: Speaker) -> Callable[[Device], Device]:
+    def tcp(self, speaker: Speaker, breath: Breath | None = None) -> Callable[[Device], Device]:
         """Lay a TCP cable; what is returned puts a session on it. All share one breath."""
-        breath, dice = self._breath(speaker), self._dice(speaker, "tcp")
+        breath, dice = breath or self._breath(speaker), self._dice(speaker, "tcp")
 
         def session(device: Device) -> Device:
             if breath is not None:

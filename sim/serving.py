@@ -104,18 +104,28 @@ class Server:
         """Tell the time to what must know it with nobody connected, such as a watchdog."""
         self._ticking.append(tick)
 
-    def end_with(self, descriptor: int, ending: Ending) -> None:
+    def end_with(
+        self, descriptor: int, ending: Ending, heed: Callable[[str], object] = lambda _: None
+    ) -> None:
         """Ask for the end when a descriptor, such as a parent's pipe, is closed at its other end.
+
+        Lines that come on it before are passed to `heed`.
 
         Raises
         ------
         PermissionError
             It is a file, which never closes.
         """
+        rest = b""
 
         def look(_events: int) -> None:
-            if not os.read(descriptor, 65536):
+            nonlocal rest
+            data = os.read(descriptor, 65536)
+            if not data:
                 ending.ask()
+            *lines, rest = (rest + data).split(b"\n")
+            for line in lines:
+                heed(line.decode("ascii", "replace"))
 
         self._selector.register(descriptor, selectors.EVENT_READ, look)
 

@@ -33,11 +33,13 @@ from sim.axes import (
 from sim.baumer_ox import OxSensor, OxSettings
 from sim.cabling import Cabling
 from sim.device import Device, ModbusUnit
-from sim.faults import Faults, Speaker
-from sim.modbus import TcpSession
+from sim.faults import Breath, Faults, Silent, Speaker
+from sim.grbl import GrblBoard
+from sim.lasers import LaserWiring, Slow, laser_table, relay_settings, spindle_board
+from sim.modbus import RtuServer, TcpSession
 from sim.motion import AxisMotion, Limits, Play
 from sim.optics import OpticalBench, OpticsSettings
-from sim.relay import RelayBlock, RelaySettings
+from sim.relay import RelayBlock
 from sim.sensor import Flaws, Mounting, Sensor
 from sim.serving import Server
 from sim.solids import Part
@@ -50,6 +52,7 @@ _DEVICE_ID = 1
 _CLEAR_OF_SWITCH_MM = 2.0
 PLAN_RINGS, PLAN_STOPS = 40, 12
 _SOUND = Faults()
+_FOR_EVER = 1 << 62  # answers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,6 +85,7 @@ class Layout:
     stage_travel_mm: tuple[float, float] = (-2.0, 160.0)  # from limit switch to limit switch
     stage_baud: int = 115200
     watchdog_s: float = 0.25
+    laser: LaserWiring = LaserWiring.TURCK
     profiler_port: int = 0  # of each port, 0 is any that is free
     profiles_port: int = 0
     relay_port: int = 0
@@ -114,6 +118,8 @@ class Devices:
     stage: Stage
     profiler: OxSensor
     relay: RelayBlock
+    laser_board: GrblBoard  # speaks where its spindle output switches the laser
+    laser_cable: Breath  # of whatever switches the laser; none is a cable that was pulled
 
     def lively(self, now_s: float) -> bool:
         """Whether anything moves or measures."""
@@ -149,6 +155,8 @@ def build(
             f" sees {layout.reach_mm:g}; scale it down"
         )
     world = _world(layout, part, witness, Pace(now_s, layout.time_scale))
+    if layout.laser is LaserWiring.NONE:
+        world.switch_laser(now_s, on=True, why="nothing switches it")
     if faults.stage_stalls_mm is not None:
         world.stage.obstacle = faults.stage_stalls_mm
     return Devices(
@@ -156,7 +164,9 @@ def build(
         build_table(layout, world),
         build_stage(layout, world),
         OxSensor(world, OxSettings(rate_hz=layout.rate_hz)),
-        RelayBlock(world, RelaySettings()),
+        RelayBlock(world, relay_settings(layout.laser)),
+        spindle_board(world, witness),
+        Breath(faults.silent_after.get(Speaker.RELAY, _FOR_EVER)),
     )
 
 
@@ -181,8 +191,24 @@ def connect(
             devices.profiler, cabling.tcp(Speaker.PROFILER), layout.profiler_port, server
         ),
         profiles=profiles.address,
-        laser=_listen(devices.relay, cabling.tcp(Speaker.RELAY), layout.relay_port, server),
+        laser=_laser_address(devices, layout, cabling, server, folder),
     )
+
+
+def _laser_address(
+    devices: Devices, layout: Layout, cabling: Cabling, server: Server, folder: Path
+) -> str:
+    """Put what switches the laser on its wire; empty where nothing does."""
+    if layout.laser is LaserWiring.NONE:
+        return ""
+    breath = devices.laser_cable
+    if (baud := layout.laser.baud) is None:
+        cable = cabling.tcp(Speaker.RELAY, breath)
+        return _listen(devices.relay, cable, layout.relay_port, server)
+    grbl = layout.laser is LaserWiring.GRBL
+    device: Device = devices.laser_board if grbl else RtuServer({_DEVICE_ID: devices.relay})
+    line = cabling.serial(Silent(device, breath), Speaker.RELAY)
+    return f"{_serve(Slow(line, baud), server, folder / 'laser')}?baud={baud}"
 
 
 def station_toml(layout: Layout, addresses: Addresses, part_name: str) -> str:
@@ -198,6 +224,9 @@ def station_toml(layout: Layout, addresses: Addresses, part_name: str) -> str:
         sensor=sensor,
         device_id=_DEVICE_ID,
         table_sense=mounting.turning.name.lower().replace("_", "-"),
+        laser=laser_table(
+            layout.laser, addresses.laser, device_id=_DEVICE_ID, watchdog_s=layout.watchdog_s
+        ),
         stage_sense=mounting.lifting.name.lower(),
         sensor_x=mounting.hand.name.lower(),
         azimuth_deg=round(math.degrees(mounting.azimuth_rad), 9),
@@ -301,15 +330,9 @@ z_mm_per_count = {sensor.z_mm_per_count}
 x_offset_mm = {sensor.x_offset_mm}
 z_offset_mm = {sensor.z_offset_mm}
 
-# what switches the laser: an I/O block that drops its outputs when nobody talks to it
+# what switches the laser; a Turck block drops its outputs when nobody talks to it
 [laser]
-switch = "relay"
-family = "turck"
-address = "{addresses.laser}"
-device_id = {device_id}
-output_by = "coil"
-output = 0
-watchdog_s = {layout.watchdog_s}
+{laser}
 
 # how axes and sensor stand: the truth, as far as a ruler could tell it
 [kinematics]

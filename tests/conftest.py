@@ -58,6 +58,19 @@ def part_result(part_points: FloatArray) -> Result:
     return reconstruct(part_points, tolerance_mm=1.0)
 
 
+@pytest.fixture(autouse=True)
+def patient_guards(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leases of seconds where pytest itself owns a station.
+
+    Machines that test also stall, and a guard kills the process that lets its lease lapse: that
+    would be pytest. The true time to live is that of every process of its own, as `make safety`
+    and the tests of the guard start them.
+    """
+    import acquisition.opening
+
+    monkeypatch.setattr(acquisition.opening, "TTL_S", 3.0)
+
+
 @pytest.fixture
 def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Reports without their pictures, for tests that are about something else."""

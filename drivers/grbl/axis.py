@@ -40,7 +40,9 @@ from drivers.grbl.settings import Homing, Settings
 from drivers.grbl.stopping import Rest, come_to_rest, reset_held
 from drivers.grbl.wire import FENCE, Realtime, feed_move, jog
 from drivers.links import ByteLink
+from drivers.recipes import Order, Recipe, Word
 
+RESET_S: Final = 0.2  # until the banner of a board that is up
 _PLANNER_S: Final = 0.1  # idle for so long somewhere else, a move is over and not yet to begin
 _UNHOMED_JOG: Final = 1.0  # degree or mm, from where the axis stands
 
@@ -184,6 +186,17 @@ class GrblAxis:
                 f"{self._name}: the stop was not confirmed in {BANNER_S} s; press the"
                 " emergency stop"
             )
+
+    def recipes(self) -> tuple[Recipe, ...]:
+        """Hold or cancel, and see it stand; then reset, which homing needs; `drivers.recipes`."""
+        gentle = Word(Realtime.HOLD.wire + Realtime.JOG_CANCEL.wire, b"", 0.0)
+        reset = Word(Realtime.RESET.wire, rb"Grbl\w* \S+ \[", RESET_S)
+        stands = Word(Realtime.STATUS.wire, rb"<(?:Idle|Hold:0|Alarm|Door:[01]|Sleep)[|>]", 0.05)
+        name, rest_s = self._name, self._braking_s() + 0.1
+        return (
+            Recipe(name, Order.AXIS, (gentle,), (stands,), rest_s=min(rest_s, 1.0)),
+            Recipe(f"{name}, reset", Order.AXIS, (reset,), (stands,)),
+        )
 
     # --- moving ------------------------------------------------------------------------------
 

@@ -39,6 +39,8 @@ from drivers.leadshine.registers import (
     words_of,
 )
 from drivers.leadshine.settings import StageSettings
+from drivers.modbus_recipes import without_bits, write_register
+from drivers.recipes import Order, Recipe
 
 _POLL_S = 0.02
 _STOP_TRIES = 3
@@ -171,6 +173,14 @@ class LeadshineStage:
                     raise
             else:
                 return
+
+    def recipes(self) -> tuple[Recipe, ...]:
+        """Stop, and read the status until it no longer runs; see `drivers.recipes`."""
+        bus, device_id = self._bus, self._device_id
+        stop = write_register(bus, device_id, Register.TRIGGER, Trigger.STOP)
+        stands = without_bits(bus, device_id, 3, Register.STATUS, Status.RUNNING)
+        wire_s, rest_s = bus.wire_s(len(stop.send)), self._settings.braking_s() + 0.5
+        return (Recipe(self._name, Order.AXIS, (stop,), (stands,), bus.quiet_s, wire_s, rest_s),)
 
     def clear_alarm(self) -> None:
         """Reset the drive's alarm, once, because a person asked; forgets "homed"."""

@@ -112,6 +112,11 @@ class StageSettings:
         ramps_s = (self.acceleration_ms + self.deceleration_ms) / 1000.0 * rpm / 1000.0
         return cruise_s + ramps_s + self.settle_s + self.slack_s
 
+    def braking_s(self) -> float:
+        """Return the time that the drive takes to stand, from the fastest it is told to go."""
+        fastest_mm_s = max(self.speed_mm_s, self.homing.fast_mm_s)
+        return self.deceleration_ms / 1000.0 * self.rpm(fastest_mm_s) / 1000.0
+
     def homing_s(self) -> float:
         """Return the time within which the reference must be found: there, back, and creeping."""
         search = self.home_search()

@@ -22,6 +22,7 @@ from drivers.axis import AxisState, Identity, Kind, Motion, Pause
 from drivers.bus import Bus
 from drivers.endings import unless_done
 from drivers.errors import DriverError, FrameError, LinkLost, NoReply, Refused
+from drivers.modbus_recipes import long_without_bits, write_registers
 from drivers.oriental.registers import (
     STEPS_PER_GEAR,
     DirectData,
@@ -36,9 +37,11 @@ from drivers.oriental.registers import (
     words_of,
 )
 from drivers.oriental.settings import Settings, Turning
+from drivers.recipes import Order, Recipe
 
 _POLL_S: Final = 0.02
 _STOP_TRIES: Final = 3
+_REST_S: Final = 1.0  # longer than a table brakes
 _UNHOMED_JOG: Final = 1.0  # degree or mm
 _JOG_PART: Final = 0.2  # of the speed of moves
 _NOT_THERE: Final = (2, 3)  # Modbus exceptions: illegal address, illegal value
@@ -150,6 +153,14 @@ class AzAxis:
                     raise
             else:
                 return
+
+    def recipes(self) -> tuple[Recipe, ...]:
+        """Stop, and read the outputs until it no longer moves; see `drivers.recipes`."""
+        bus, device_id = self._bus, self._device_id
+        stop = write_registers(bus, device_id, Register.PULSED_INPUT, words_of(Input.STOP))
+        stands = long_without_bits(bus, device_id, Register.OUTPUT, Output.MOVE)
+        wire_s = bus.wire_s(len(stop.send))
+        return (Recipe(self._name, Order.AXIS, (stop,), (stands,), bus.quiet_s, wire_s, _REST_S),)
 
     def clear_alarm(self) -> None:
         """Reset the drive's alarm, once, because a person asked; forgets "homed"."""

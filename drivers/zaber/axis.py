@@ -18,15 +18,19 @@ from typing import Final
 from drivers.axis import AxisState, Identity, Kind, Motion, Pause
 from drivers.endings import unless_done
 from drivers.errors import DriverError, FrameError, NoReply, Refused
+from drivers.recipes import Order, Recipe, Word
 from drivers.zaber.chain import Chain
 from drivers.zaber.names import UNREFERENCED, flag_name, flag_remedy, is_fault
 from drivers.zaber.settings import Settings
-from drivers.zaber.wire import Reply
+from drivers.zaber.wire import Reply, command_bytes
 
 _POLL_S: Final = 0.02
 _UNHOMED_JOG: Final = 1.0  # degree or mm, from where the axis stands
 _FIRMWARES: Final = ("6", "7")
 _FAULT_CODE: Final = 1
+_STOP_ID, _ASK_ID = 98, 99  # of a program that is dead nobody waits for these
+_ANSWER_S: Final = 0.1
+_REST_S: Final = 1.0  # longer than a stage brakes
 
 
 class ZaberAxis:
@@ -111,6 +115,18 @@ class ZaberAxis:
         """Stop, decelerating; written at once, behind no reply that is still to come."""
         self._homing = False
         self._chain.stop(self._settings.device, self._settings.axis)
+
+    def recipes(self) -> tuple[Recipe, ...]:
+        """Stop, and ask until it is idle; see `drivers.recipes`."""
+        device, axis = self._settings.device, self._settings.axis
+        stop = command_bytes(device, axis, _STOP_ID, "stop")
+        ask = command_bytes(device, axis, _ASK_ID, "")
+        heard, idle = (
+            b"@%02d %d %02d OK %s" % (device, axis, number, state)
+            for number, state in ((_STOP_ID, b"(?:IDLE|BUSY) "), (_ASK_ID, b"IDLE "))
+        )
+        stopped, stands = Word(stop, heard, _ANSWER_S), Word(ask, idle, _ANSWER_S)
+        return (Recipe(self._name, Order.AXIS, (stopped,), (stands,), rest_s=_REST_S),)
 
     # --- moving
 

@@ -6,6 +6,7 @@ Each family is its own driver at its own simulated device; the world says where 
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ import pytest
 from drivers.axis import Axis, Motion
 from drivers.errors import DriverError, LinkLost, NoReply, Refused
 from drivers.grbl import GrblAxis
+from drivers.recipes import Recited, Word
 from tests.drivers.motion_cases import FAMILIES, Bench
 
 every_family = pytest.mark.parametrize("name", FAMILIES)
@@ -182,3 +184,41 @@ def axis_forgot(axis: Axis) -> bool:
         return not axis.state().homed
     except DriverError:
         return True
+
+
+def found(bench: Bench, word: Word) -> bool:
+    """Say a word as somebody does who knows bytes and patterns and nothing else."""
+    bench.link.write(word.send)
+    heard, until_s = b"", bench.now_s + max(word.within_s, 0.01)
+    while bench.now_s < until_s:
+        heard += bench.link.read(0.005)
+        if word.reply and re.search(word.reply, heard, re.DOTALL):
+            return True
+    return not word.reply
+
+
+@every_family
+def test_its_recipe_brings_it_to_rest_when_its_program_says_nothing_more(name) -> None:
+    bench, axis = homed(name)
+    assert isinstance(axis, Recited)
+    recipe = axis.recipes()[0]
+    target = 20.0 * bench.family.unit
+
+    def hangs(seconds: float) -> None:
+        """In the midst of a move; somebody else has the wire from here on."""
+        bench.pause(seconds)
+        if bench.axis.stands(bench.now_s):
+            return
+        bench.link.read(1e-3)
+        begun_s = bench.now_s
+        for word in recipe.words * 3:
+            assert found(bench, word)
+        (stands,) = recipe.check
+        while not found(bench, stands):
+            assert bench.now_s - begun_s < recipe.rest_s + 1.0
+        assert bench.axis.stands(bench.now_s)
+        assert abs(bench.axis.motor(bench.now_s) - target) > 0.1 * bench.family.unit
+        raise Interrupted
+
+    with pytest.raises(Interrupted):
+        axis.move_to(target, hangs)

@@ -423,7 +423,7 @@ def test_homing_moving_and_one_exposure_end_where_they_should() -> None:
 
 
 def exposure(station: OpenStation):  # type: ignore[no-untyped-def]
-    with lasing(station.laser, Lease(0.12, station.clock)):
+    with lasing(station.laser.switch, Lease(0.12, station.clock)):
         assert station.laser.is_on()
         station.profiler.discard()
         return next(station.profiler.profiles(0.1))
