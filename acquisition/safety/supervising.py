@@ -63,7 +63,7 @@ class Supervisor:
     def tell(self, event: Event) -> Actions:
         """Tell what has happened; what is to be done about it."""
         self._now, actions = step(self._now, event, self._clock(), self.rules)
-        if Action.ANNOUNCE in actions:
+        if Action.ANNOUNCE in actions and self.rules.warning_s > 0.0:
             self.announce(f"laser: it may be lit in {self.rules.warning_s:g} s")
         return actions
 

@@ -28,7 +28,8 @@ _OTHERS, _FEWEST = 10, 30  # of the devices after the first: a tenth, and at lea
 _OF_THE_HARDWARE = 30  # they wait for time-outs of seconds
 SCALE = 8.0
 _HEAD = (
-    "device", "way", "N", "lit", "laser max", "p99", "bound", "axes max", "stalled", "failed", "rate below"
+    "device", "way", "N", "lit", "laser max", "p99", "bound", "axes max", "stalled", "failed",
+    "rate below",
 )  # fmt: skip
 _WIDTHS = (11, 17, 5, 5, 10, 7, 7, 9, 8, 7, 11)
 
