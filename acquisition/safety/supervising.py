@@ -216,6 +216,7 @@ class PermittedLaser:
             The output did not follow.
         """
         supervisor = self._supervisor
+        supervisor.tell(Event.TICK)  # an arming that was forgotten is over
         if not supervisor.situation.laser_permitted:
             remedy = _REMEDY.get(supervisor.state, "arm it first")
             raise NotNow(f"laser: the station is {supervisor.state.value}; {remedy}")
