@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 from acquisition.lease import LONGEST_WAIT_S
 from acquisition.opening import OpenStation, open_station
+from acquisition.safety.guarding import unguarded
 from acquisition.station import NoLaserSwitch, Station
 from drivers.axis import Axis, AxisState, Identity, Motion
 from drivers.errors import DriverError, LinkLost
@@ -95,6 +96,9 @@ class AbsentLink:
 def reached(station: Station, *, links: Callable[[str], ByteLink] = open_link) -> Iterator[Reached]:
     """Open what can be opened; on the way out everything that answers is at rest.
 
+    Nothing is lit and nothing moves, so nobody guards, and no place is locked: "stop" is for a
+    station that somebody else has, too.
+
     What the way out has to complain of is raised, even where it is of a device that never answered.
     """
     lost: dict[str, str] = {}
@@ -111,11 +115,11 @@ def reached(station: Station, *, links: Callable[[str], ByteLink] = open_link) -
     with ExitStack() as way_out:
         trouble = ""
         try:
-            devices = way_out.enter_context(open_station(plain, links=opened))
+            devices = way_out.enter_context(open_station(plain, links=opened, guarding=unguarded))
         except DriverError as failed:
             trouble = str(failed)
             unlit = replace(plain, laser=NoLaserSwitch())
-            devices = way_out.enter_context(open_station(unlit, links=opened))
+            devices = way_out.enter_context(open_station(unlit, links=opened, guarding=unguarded))
         yield Reached(devices, lost, trouble)
 
 
@@ -205,7 +209,7 @@ def _blank(station: Station, role: str) -> Finding:
     settings = getattr(station, role)
     if isinstance(settings, NoLaserSwitch):
         return Finding(role, "none", (), "")
-    family = "relay" if role == "laser" else settings.family
+    family = settings.switch if role == "laser" else settings.family
     names = ("address", "profiles")
     addresses = tuple(getattr(settings, name) for name in names if hasattr(settings, name))
     return Finding(role, str(family), addresses, TIERS[family].value)

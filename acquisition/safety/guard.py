@@ -41,6 +41,7 @@ import termios
 import threading
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 TIMES = 3  # every off and stop
@@ -87,7 +88,7 @@ class Guard:
         self.owner = owner
         self.process = _pidfd(owner)
         self.held: dict[str, Held] = {}
-        self.locks: list[int] = []
+        self.locks: list[tuple[str, int]] = []
         self.report_file = ""
         self.lease_ns = 0  # 0: none
 
@@ -177,15 +178,12 @@ class Guard:
 
     def _lock(self, files: Sequence[str]) -> Table:
         """Take every lock or none; who holds the first that is not free."""
-        taken = []
+        taken: list[tuple[str, int]] = []
         for file in files:
-            descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
-            taken.append(descriptor)
-            try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                holder = os.pread(descriptor, 20, 0).decode("ascii", "replace").strip()
-                for each in taken:
+            descriptor, holder = _locked(file)
+            taken.append((file, descriptor))
+            if holder is not None:
+                for _, each in taken:
                     os.close(each)
                 return {"ok": False, "file": file, "holder": holder}
             os.ftruncate(descriptor, 0)
@@ -197,7 +195,9 @@ class Guard:
         """Close every wire, then let the next owner in."""
         for held in self.held.values():
             held.free()
-        for lock in self.locks:
+        for file, lock in self.locks:
+            with contextlib.suppress(OSError):
+                Path(file).unlink()
             os.close(lock)
 
     def act(self, why: str) -> Table:
@@ -258,6 +258,25 @@ class Guard:
                 file = os.open(self.report_file, flags, 0o644)
                 os.write(file, json.dumps(report).encode() + b"\n")
                 os.close(file)
+
+
+def _locked(file: str) -> tuple[int, str | None]:
+    """Open a lock file and take its lock; who has it, if somebody has.
+
+    Whoever lets go removes the file first: a lock on one that is gone is worth nothing, and the
+    next is tried.
+    """
+    flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
+    while True:
+        descriptor = os.open(file, flags, 0o600)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return descriptor, os.pread(descriptor, 20, 0).decode("ascii", "replace").strip()
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(Path(file).stat(), os.fstat(descriptor)):
+                return descriptor, None
+        os.close(descriptor)
 
 
 def _serve(held: Held, found: list[Table], since_s: float) -> None:

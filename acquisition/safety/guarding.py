@@ -124,12 +124,16 @@ class GuardProcess:
                 cwd="/",
                 start_new_session=True,  # a terminal's Ctrl-C is for its owner
             )
+        self._gone = (
+            ""  # why it is not asked any more: its next answer could be to another question
+        )
         self._holder: int | None = None  # the thread that took the lease
         self._ttl_s = 0.0
         self._renewed_s = 0.0
         try:
             self._answer("it did not start", _START_S)
         except GuardLost:
+            self._channel.close()
             self._process.kill()
             self._process.wait()
             raise
@@ -199,8 +203,14 @@ class GuardProcess:
     def _ask(
         self, told: Mapping[str, Any], *descriptors: int, within_s: float = _ANSWER_S
     ) -> Mapping[str, Any]:
-        self._send(json.dumps(told).encode(), *descriptors)
-        return self._answer(f"it did not answer to {told['word']!r}", within_s)
+        if self._gone:
+            raise _lost(self._gone)
+        try:
+            self._send(json.dumps(told).encode(), *descriptors)
+            return self._answer(f"it did not answer to {told['word']!r}", within_s)
+        except GuardLost as lost:
+            self._gone = str(lost.args[0]).removeprefix(_SAYS).partition(_UNLIT)[0]
+            raise
 
     def _answer(self, else_: str, within_s: float) -> Mapping[str, Any]:
         try:
@@ -320,8 +330,8 @@ def _from_now_ns(seconds: float) -> int:
     return time.monotonic_ns() + int(seconds * 1e9)
 
 
+_SAYS, _UNLIT = "laser guard: ", "; without it nothing may be lit"
+
+
 def _lost(why: str) -> GuardLost:
-    return GuardLost(
-        f"laser guard: {why}; without it nothing may be lit: is the machine out of memory or"
-        " processes?"
-    )
+    return GuardLost(f"{_SAYS}{why}{_UNLIT}: is the machine out of memory or processes?")

@@ -63,7 +63,7 @@ class Supervisor:
     def tell(self, event: Event) -> Actions:
         """Tell what has happened; what is to be done about it."""
         self._now, actions = step(self._now, event, self._clock(), self.rules)
-        if Action.ANNOUNCE in actions:
+        if Action.ANNOUNCE in actions and self.rules.warning_s > 0.0:
             self.announce(f"laser: it may be lit in {self.rules.warning_s:g} s")
         return actions
 
@@ -216,6 +216,7 @@ class PermittedLaser:
             The output did not follow.
         """
         supervisor = self._supervisor
+        supervisor.tell(Event.TICK)  # an arming that was forgotten is over
         if not supervisor.situation.laser_permitted:
             remedy = _REMEDY.get(supervisor.state, "arm it first")
             raise NotNow(f"laser: the station is {supervisor.state.value}; {remedy}")

@@ -277,6 +277,37 @@ def test_a_place_is_one_programs_and_a_dead_ones_guard_is_waited_for(
         assert len(waits) == 3
 
 
+def test_a_place_that_was_let_go_leaves_no_file_and_can_be_had_by_many_in_turn(
+    tmp_path: Path,
+) -> None:
+    places = [Place("tcp://192.0.2.1:502", tmp_path / "place.lock")]
+    held = 0
+    failures: list[BaseException] = []
+
+    def have() -> None:
+        nonlocal held
+        for _ in range(3):
+            process = GuardProcess()
+            try:
+                while not process.lock([str(places[0].file)])["ok"]:
+                    time.sleep(0.001)
+                held += 1
+                assert held == 1
+                held -= 1
+            except BaseException as failed:  # noqa: BLE001 (told by the thread that waits)
+                failures.append(failed)
+            finally:
+                process.end()
+
+    threads = [threading.Thread(target=have) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert failures == []
+    assert not places[0].file.exists()
+
+
 def test_an_address_has_one_place_however_it_is_spelled(tmp_path: Path) -> None:
     port = tmp_path / "ttyUSB0"
     port.touch()

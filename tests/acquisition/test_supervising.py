@@ -92,6 +92,17 @@ def test_on_goes_out_only_where_the_state_permits_it_and_off_always(count: int) 
     assert not switch.lit
 
 
+def test_an_arming_that_was_forgotten_lights_nothing() -> None:
+    clock, switch = Clock(), Switch()
+    laser = PermittedLaser(switch, supervisor(*TO_ARMED, clock=clock))
+    laser.on()
+    laser.off()
+    clock.now_s += 61.0
+    with pytest.raises(NotNow, match="ready; arm it first"):
+        laser.on()
+    assert not switch.lit
+
+
 def test_an_off_that_is_not_confirmed_is_a_fault_that_lights_nothing() -> None:
     safety, switch = supervisor(*TO_ARMED), Switch(fails=True)
     laser = PermittedLaser(switch, safety)

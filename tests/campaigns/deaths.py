@@ -21,7 +21,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -110,6 +110,11 @@ class Owners:
     _rest: bytes = b""
     _told: list[dict[str, Any]] = field(default_factory=list)
 
+    def last_words(self) -> str:
+        """The last line of all stderr."""
+        said = (self.report.parent / "complained.txt").read_text(errors="replace")
+        return (said.strip().splitlines() or [""])[-1]
+
     def begin(self, **words: object) -> None:
         assert self.process.stdin is not None
         self.process.stdin.write(json.dumps(words).encode() + b"\n")
@@ -172,7 +177,8 @@ def strike(death: Death, phase: str, delay_s: float, station: Simulated, by: Own
     events, code = _end(death, phase, opened["pid"], struck_s, witnessed, by, ready)
     if death.name == "cable pulled":
         station.plug_the_lasers_cable()
-    return _judged(death, phase, struck_s, events, code, opened["guarded_s"])
+    end = _judged(death, phase, struck_s, events, code, opened["guarded_s"])
+    return replace(end, broken=tuple(f"{what} ({by.last_words()})" for what in end.broken))
 
 
 def _struck(

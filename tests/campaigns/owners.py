@@ -123,6 +123,9 @@ def child(words: dict[str, object]) -> int:
 
 
 def main() -> None:
+    # Whoever starts the campaign in the background has these ignored, and children inherit that.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     for line in sys.stdin:
         if (owner := os.fork()) == 0:
             os._exit(_coded(json.loads(line)))

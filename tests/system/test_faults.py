@@ -278,6 +278,15 @@ def test_a_laser_that_only_a_person_could_turn_off_is_not_lit_for_nobody(
         assert "guard: " in ran.stdout
 
 
+def test_a_guard_that_does_not_live_lets_nothing_be_lit(
+    station: Simulated, place: Path, plan: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("acquisition.safety.guarding.sys.executable", "/bin/false")
+    end = scan(station, plan)
+    assert_told(end.line, end.code, "The guard does not live")
+    assert not Path("part.scan").exists()
+
+
 def test_a_port_that_does_not_exist(station: Simulated, place: Path, plan: str) -> None:
     end = scan(changed(station, r"serial://\S+/stage\?", "serial:///dev/nowhere?"), plan)
     assert_told(end.line, end.code, "There is no such port")
