@@ -40,7 +40,7 @@ _LEAST_MM = 1e-9  # no length below the size of an atom is meant
 class Settings:
     """Everything that decides a reconstruction, besides its input."""
 
-    method: Method = Method.PAPER
+    method: Method = Method.FIT
     axis: Axis = Axis.Z
     unit: Unit = Unit.MM
     spacing_mm: float | None = None
@@ -76,8 +76,10 @@ class Settings:
         }
         for option, given in useless.items():
             if given:
+                other = Method.PAPER if fit else Method.FIT
                 raise ValueError(
-                    f"{option}: means nothing to --method {self.method.value}; leave it out"
+                    f"{option}: means nothing to --method {self.method.value}; leave it out, or"
+                    f" choose --method {other.value}"
                 )
 
     def course(self) -> AnyCourse:

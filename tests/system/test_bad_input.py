@@ -171,11 +171,18 @@ def test_a_plausible_size_is_no_warning(place: Path, cloud: str, without_picture
     ("options", "said"),
     [
         (["--axis", "w"], "--axis 'w': one of x, y, z expected"),
-        (["--method", "spline"], "--method 'spline': one of paper, fit expected"),
-        (["--exact", "never"], "--exact: means nothing to --method paper; leave it out"),
+        (["--method", "spline"], "--method 'spline': one of fit, paper expected"),
         (
-            ["--method", "fit", "--resolution-mm", "1"],
-            "--resolution-mm: means nothing to --method fit; leave it out",
+            ["--method", "paper", "--exact", "never"],
+            "--exact: means nothing to --method paper; leave it out, or choose --method fit",
+        ),
+        (
+            ["--resolution-mm", "1"],
+            "--resolution-mm: means nothing to --method fit; leave it out, or choose --method paper",
+        ),
+        (
+            ["--intermediate", "2"],
+            "--intermediate: means nothing to --method fit; leave it out, or choose --method paper",
         ),
         (["--unit", "km"], "--unit 'km': one of mm, cm, m, um, inch expected"),
         (
@@ -204,7 +211,7 @@ def test_a_wrong_option_is_bad_usage(
 
 def test_a_spacing_larger_than_the_part_makes_no_surface(place: Path, cloud: str) -> None:
     line = refused(place, 1, "reconstruct", cloud, "--out", "o", "--spacing-mm", "500")
-    assert line == ("1 of 1 slices gave a section, two are needed: choose a smaller --spacing-mm")
+    assert line == ("1 of 1 slices gave a closed section, two are needed: choose a smaller --spacing-mm")
 
 
 def test_an_absurdly_small_spacing_is_refused_before_it_fills_the_memory(
