@@ -17,6 +17,7 @@ from loftscan.inputs import Input, Unit, judge_size, open_input
 from loftscan.methods import AnyCourse, AnyReconstruction, Method
 from loftscan.progress import Progress, silent
 from loftscan.result import Result
+from loftscan.surface_findings import judge_surface
 from reconstruction.arrays import FloatArray
 from reconstruction.cleanup import CleanupSettings
 from reconstruction.comparison import Deviation, compare_to_mesh
@@ -203,7 +204,11 @@ def _conclude(
         deviation=deviation,
         metrics=numbers,
         provenance=provenance.record(provenance.describe(opened), settings.said()),
-        warnings=tuple([size] if size else []) + judge(cutting, done),
+        warnings=(
+            *([size] if size else []),
+            *judge(cutting, done),
+            *judge_surface(cutting, done, sample_mm, deviation, settings.cleanup),
+        ),
     )
 
 
