@@ -37,6 +37,7 @@ _SPANS_A_STATION = 3
 _MOST_STATIONS = 48
 _TIE = 0.25  # precision of the difference of two neighbouring stations' log stiffness
 _FAINT = 0.05  # degrees of freedom that are as good as none
+_RUN_AWAY_MM = 1e150  # its square is the largest that a number holds
 _ROUNDS = 25
 _LEAST_POINTS = 3.0
 _MOST_DOUBT = 1.5  # variance of the log stiffness
@@ -160,9 +161,19 @@ def _leash(start_mm: FloatArray, variance_mm2: float) -> _Leash:
 def feet(
     control_mm: FloatArray, cells: ArcCells, t: FloatArray, *, closed: bool
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Foot points of the cells, from rough ones, normal distances, scatters across; all (m,)."""
-    found, size = t.copy(), len(control_mm)
-    nothing = np.full(len(cells), (1e-7 * float(np.ptp(control_mm))) ** 2)
+    """Foot points of the cells, from rough ones, normal distances, scatters across; all (m,).
+
+    Raises
+    ------
+    ReconstructionError
+        The curve has run away: it is so large that the square of its size is no number.
+    """
+    found, size, extent_mm = t.copy(), len(control_mm), float(np.ptp(control_mm))
+    if not extent_mm < _RUN_AWAY_MM:
+        raise ReconstructionError(
+            f"a trial curve has run away to {extent_mm:.3g} mm; are the points those of one part?"
+        )
+    nothing = np.full(len(cells), (1e-7 * extent_mm) ** 2)
     distances, scatters, _ = sweep(
         control_mm, control_normals(control_mm, closed=closed), found, cells.counts,
         cells.counts, cells.means_mm, cells.covariances_mm2, nothing, np.zeros((size, 4)),

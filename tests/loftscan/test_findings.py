@@ -81,8 +81,8 @@ def test_a_smooth_part_gives_a_surface_that_keeps_to_its_points_and_no_word_of_i
     assert reconstruct(cloud).warnings == (
         "ends of the part that no slice samples: 2 closed by a flat cap; do not measure on them",
     )
-    (coarse,) = (said for said in reconstruct(cloud, decimate_to_faces=60).warnings if "mesh" in said)
-    assert coarse.startswith("slices 0-15: half of the points")
+    (coarse,) = (said for said in reconstruct(cloud, decimate_to_faces=500).warnings if "mesh" in said)
+    assert re.match(r"slices [\d, -]+: half of the points lie far beyond", coarse)
     assert coarse.endswith("a mesh so coarse does not follow the surface; ask for more faces")
 
 

@@ -156,12 +156,19 @@ def test_an_implausible_size_is_a_warning_that_names_the_unit(
     assert ran.stderr.startswith("warning: the part is ")
     assert said in ran.stderr
     assert f"With --unit {unit} it would be 10" in ran.stderr
-    assert len(ran.stderr.splitlines()) == 1
+    assert sum("wide in --unit" in line for line in ran.stderr.splitlines()) == 1
+    assert all(line.startswith("warning: ") for line in ran.stderr.splitlines())
     assert "watertight" in ran.stdout
+    ran = succeeded(
+        run("reconstruct", "part.npy", "--out", "p", "--formats", "ply", "--method", "paper")
+    )
+    assert len(ran.stderr.splitlines()) == 1
 
 
 def test_a_plausible_size_is_no_warning(place: Path, cloud: str, without_pictures: None) -> None:
-    assert succeeded(run("reconstruct", cloud, "--out", "o", "--formats", "ply")).stderr == ""
+    options = ("reconstruct", cloud, "--formats", "ply")
+    assert "wide in --unit" not in succeeded(run(*options, "--out", "o")).stderr
+    assert succeeded(run(*options, "--out", "p", "--method", "paper")).stderr == ""
 
 
 # -- wrong options -------------------------------------------------------------------------------
