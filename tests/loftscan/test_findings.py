@@ -19,7 +19,7 @@ from loftscan.sliced import Sliced
 from loftscan.spans import spans
 from reconstruction.sections import Section, Skipped
 from reconstruction.setting_aside import Aside
-from tests.system.command_cases import NOISE_MM, ROW_MM
+from tests.system.command_cases import NOISE_MM, ROW_MM, FloatArray
 
 
 def with_sections(done: AnyReconstruction, *changed: tuple[int, dict]) -> AnyReconstruction:
@@ -69,21 +69,26 @@ def test_of_a_fit_only_shadows_and_ends_and_the_shoulder_are_remarked_upon(
     assert any(span[0] <= 7 and 8 <= span[-1] for span in spanned)
 
 
-def test_a_smooth_part_gives_a_surface_that_keeps_to_its_points_and_no_word_of_it() -> None:
+def swaying_cloud(noise_mm: float) -> FloatArray:
+    """A part without a shoulder, row by row, (n, 3)."""
     rng = np.random.default_rng(4)
-    angle, height = (
-        grid.ravel()
-        for grid in np.meshgrid(np.arange(240) * (math.tau / 240), np.arange(16) * ROW_MM)
-    )
+    turn, rows = np.arange(240) * (math.tau / 240), np.arange(16) * ROW_MM
+    angle, height = (grid.ravel() for grid in np.meshgrid(turn, rows))
     radius = 20.0 + 3.0 * np.sin(height / 8.0) + 2.0 * np.cos(2.0 * angle)
-    radius += rng.normal(0.0, NOISE_MM, len(angle))
-    cloud = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])
-    assert reconstruct(cloud).warnings == (
+    radius += rng.normal(0.0, noise_mm, len(angle))
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])
+
+
+def test_a_surface_that_keeps_to_its_points_is_not_remarked_upon() -> None:
+    assert reconstruct(swaying_cloud(NOISE_MM)).warnings == (
         "ends of the part that no slice samples: 2 closed by a flat cap; do not measure on them",
     )
-    (coarse,) = (said for said in reconstruct(cloud, decimate_to_faces=500).warnings if "mesh" in said)
-    assert re.match(r"slices [\d, -]+: half of the points lie far beyond", coarse)
-    assert coarse.endswith("a mesh so coarse does not follow the surface; ask for more faces")
+
+
+def test_a_mesh_too_coarse_for_its_points_is_said() -> None:
+    coarse = reconstruct(swaying_cloud(NOISE_MM / 50), decimate_to_faces=300)
+    (said,) = (each for each in coarse.warnings if "half of the points" in each)
+    assert said.endswith("a mesh so coarse does not follow the surface; ask for more faces")
 
 
 def test_a_second_contour_is_named_with_its_slices(paper_result: Result) -> None:
