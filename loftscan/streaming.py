@@ -185,9 +185,7 @@ class _Run:
         numbers |= metrics.resources(self._clock.seconds)
         remarks = self._source.remarks()
         missed = judge_arrivals(gathered, self._source.name)
-        away = judge_surface(
-            gathered, done, gathered.sample_mm, deviation, self._settings.cleanup
-        )
+        away = judge_surface(gathered, done, gathered.sample_mm, deviation, self._settings.cleanup)
         return Result(
             name=self._name,
             reconstruction=done,

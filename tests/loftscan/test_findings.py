@@ -155,7 +155,9 @@ def test_a_part_on_its_side_is_asked_about(paper_result: Result) -> None:
 
 def test_a_part_on_its_side_is_asked_about_by_the_fit_too(part_result: Result) -> None:
     done, sections = part_result.reconstruction, part_result.sections
-    opened = [(k, {"outlines": replace(each.outlines, outlines=())}) for k, each in enumerate(sections)]
+    opened = [
+        (k, {"outlines": replace(each.outlines, outlines=())}) for k, each in enumerate(sections)
+    ]
     asked = "was the part turned about another axis than --axis z?"
     few, half = (judge(part_result.cutting, with_sections(done, *opened[:k])) for k in (7, 8))
     assert not any(asked in sentence for sentence in few)

@@ -304,7 +304,22 @@ def test_a_damaged_slice_is_left_out_named_and_counted(path: Path) -> None:
     (warning,) = beside_the_surface(found)
     assert warning.startswith("slice 4 damaged, so left out (damaged archive")
     assert "--out vase.scan --resume` takes what is damaged again" in warning
-    # Between 3 and 5 the mesh stands on no measured point.
+
+
+@pytest.mark.parametrize(
+    "method",
+    [
+        "paper",
+        pytest.param(
+            "fit",
+            marks=pytest.mark.xfail(strict=True, reason="a fit marks no vertex of a missing slice"),
+        ),
+    ],
+)
+def test_the_mesh_of_a_damaged_slice_stands_on_no_measured_point(path: Path, method: str) -> None:
+    damage(write_scan(path), 4)
+    found = reconstruct(path, method=method)
+    # Between 3 and 5.
     heights = ring_heights_mm()
     within = np.abs(found.mesh.vertices_mm[:, 2] - heights[4]) < 0.9 * STEP_MM
     assert within.any()

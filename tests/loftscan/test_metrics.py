@@ -48,9 +48,7 @@ def test_every_promised_number_is_there(numbers: dict) -> None:
     assert PROMISED - set(numbers) == set()
 
 
-def test_every_number_is_explained_and_nothing_else_is(
-    numbers: dict, paper_result: Result
-) -> None:
+def test_every_number_is_explained_and_nothing_else_is(numbers: dict, paper_result: Result) -> None:
     page = PAGE.read_text(encoding="utf-8")
     besides = page.partition("Of `--method fit` besides:")[2].partition("###")[0]
     of_fit = set(re.findall(r"^\| `(\w+)`", besides, re.MULTILINE))
@@ -94,9 +92,7 @@ def test_no_point_is_lost(numbers: dict) -> None:
     assert numbers["slices"] == numbers["sections"] + numbers["slices_skipped"]
 
 
-def test_the_mesh_counts_are_those_of_a_closed_body(
-    numbers: dict, paper_result: Result
-) -> None:
+def test_the_mesh_counts_are_those_of_a_closed_body(numbers: dict, paper_result: Result) -> None:
     for told in (numbers, paper_result.metrics):
         assert told["euler_number"] == 2
         assert told["components"] == 1

@@ -156,27 +156,30 @@ def test_a_cloud_at_one_height_asks_for_another_axis() -> None:
         reconstruct(flat)
 
 
-# The paper has a row of vertices a missing slice; a fit, straight there, the two rims of the gap.
-@pytest.mark.parametrize(("method", "least"), [("paper", 30 * 30), ("fit", 2 * 300)])
-def test_slices_that_are_missing_between_two_sections_are_marked_synthetic(
-    method: str, least: int
-) -> None:
+def interrupted_tube() -> FloatArray:
+    """A tube whose rows 20 to 59 mm are missing, (n, 3)."""
     rng = np.random.default_rng(0)
     heights = np.concatenate([np.arange(20.0), np.arange(60.0, 80.0)]).repeat(400)
     angle = np.tile(np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False), 40)
     radius = 20.0 + rng.normal(0.0, 0.05, len(heights))
-    cloud = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), heights])
-    result = reconstruct(cloud, spacing_mm=1.0, method=method)
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), heights])
+
+
+def test_slices_that_are_missing_between_two_sections_are_marked_synthetic() -> None:
+    result = reconstruct(interrupted_tube(), spacing_mm=1.0, method="paper")
     between = np.abs(result.mesh.vertices_mm[:, 2] - 39.5) < 20.25
-    assert between.sum() > least
+    assert between.sum() > 30 * 30
     assert result.mesh.synthetic[between].all()
-    outside = ~between
-    if method == "fit":  # what goes on beyond the first and the last slice stands on no point
-        heights_mm = result.mesh.vertices_mm[:, 2]
-        outside &= (heights_mm > 0.0) & (heights_mm < 79.0)
-    assert outside.sum() > 0
-    assert not result.mesh.synthetic[outside].any()
+    assert not result.mesh.synthetic[~between].any()
     assert result.metrics["watertight"]
+
+
+def test_a_fit_bridges_no_forty_slices_and_says_that_the_part_is_cut_off_there() -> None:
+    result = reconstruct(interrupted_tube(), spacing_mm=1.0)
+    assert (np.abs(result.mesh.vertices_mm[:, 2] - 39.5) > 19.9).all()
+    assert (result.metrics["components"], result.metrics["watertight"]) == (2, True)
+    assert any(said.startswith("slices 20-59: no section, so") for said in result.warnings)
+    assert any("4 closed by a flat cap" in said for said in result.warnings)
 
 
 def test_a_cone_without_two_equal_sections_is_saved_without_step(tmp_path: Path) -> None:

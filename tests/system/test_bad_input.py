@@ -218,7 +218,9 @@ def test_a_wrong_option_is_bad_usage(
 
 def test_a_spacing_larger_than_the_part_makes_no_surface(place: Path, cloud: str) -> None:
     line = refused(place, 1, "reconstruct", cloud, "--out", "o", "--spacing-mm", "500")
-    assert line == ("1 of 1 slices gave a closed section, two are needed: choose a smaller --spacing-mm")
+    assert line == (
+        "1 of 1 slices gave a closed section, two are needed: choose a smaller --spacing-mm"
+    )
 
 
 def test_an_absurdly_small_spacing_is_refused_before_it_fills_the_memory(
