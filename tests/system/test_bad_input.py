@@ -185,7 +185,8 @@ def test_a_plausible_size_is_no_warning(place: Path, cloud: str, without_picture
         ),
         (
             ["--resolution-mm", "1"],
-            "--resolution-mm: means nothing to --method fit; leave it out, or choose --method paper",
+            "--resolution-mm: means nothing to --method fit; leave it out, or choose"
+            " --method paper",
         ),
         (
             ["--intermediate", "2"],
