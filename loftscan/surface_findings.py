@@ -66,9 +66,10 @@ def _median(values: FloatArray) -> float:
 
 def _sentence(away_mm: dict[int, float], cleanup: CleanupSettings) -> str:
     many = "s" if len(away_mm) > 1 else ""
+    worst = max(away_mm, key=lambda index: away_mm[index])
     where = (
         f"slice{many} {spans(away_mm)}: half of the points lie far beyond their noise from the mesh"
-        f" (median of slice {max(away_mm, key=lambda k: away_mm[k])}: {max(away_mm.values()):.3g} mm)"
+        f" (median of slice {worst}: {away_mm[worst]:.3g} mm)"
     )
     if cleanup.decimate_to_faces is not None or cleanup.remesh_edge_mm is not None:
         return f"{where}: a mesh so coarse does not follow the surface; ask for more faces"
