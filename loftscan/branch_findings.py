@@ -15,7 +15,7 @@ _MOST = 8  # doubts that are said one by one
 
 def judge_branches(done: FittedReconstruction) -> list[str | None]:
     """Say what is doubtful about contours, branches, and how the part ends."""
-    return [*_shortened(tell_doubts(done)), _runs(done), _ends(done)]
+    return [done.skinned.wrapping or None, *_shortened(tell_doubts(done)), _runs(done), _ends(done)]
 
 
 def tell_doubts(done: FittedReconstruction) -> list[str]:
@@ -49,8 +49,10 @@ def _runs(done: FittedReconstruction) -> str | None:
 
 def _ends(done: FittedReconstruction) -> str | None:
     """Ends that no slice has seen are closed, and stand on nothing."""
-    counts = Counter(kind for skin in done.skinned.skins for kind in _kinds(skin))
-    if not counts:
+    counts = Counter(kind for skin in done.skinned.shown for kind in _kinds(skin))
+    if not done.skinned.shown:
+        counts["closed by a flat cap"] = len(done.cap_heights_mm)
+    if not counts.total():
         return None
     words = [f"{many} {kind}" for kind, many in sorted(counts.items())]
     return f"ends of the part that no slice samples: {', '.join(words)}; do not measure on them"

@@ -16,7 +16,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
+import numpy as np
+
 from reconstruction.errors import ReconstructionError
+from reconstruction.meshing import Mesh
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -36,6 +39,11 @@ class SolidOrder:
     holes: tuple[bool, ...]  # material lies outside
     closings: tuple[str, ...]  # values of `exporting.Closing`
     volume_mm3: float  # that the part's mesh holds
+
+
+SPARE_MESH = (
+    ".spare.npz"  # in the folder until the child has read it: facets, should they be needed
+)
 
 
 class CadWriter:
@@ -74,16 +82,25 @@ class CadWriter:
             with self._child:  # closes its pipes and waits for its end
                 pass
 
-    def write(self, folder: Path, *, name: str, solid: SolidOrder | None = None) -> None:
+    def write(
+        self, folder: Path, *, name: str, solid: SolidOrder | None = None, mesh: Mesh | None = None
+    ) -> None:
         """Let the child write into a folder that holds surface.json and sections.json.
 
         Parameters
         ----------
         solid
             How the patches enclose the part; without it they are patches and no more.
+        mesh
+            The part's closed mesh: a solid's facets, where its patches make none.
         """
         if self._child is None or self._child.stdin is None:
             return
+        if mesh is not None and "step" in self._formats:
+            np.savez(
+                folder / SPARE_MESH,
+                vertices_mm=mesh.vertices_mm, faces=mesh.faces, synthetic=mesh.synthetic,
+            )  # fmt: skip
         said = None if solid is None else asdict(solid)
         order = json.dumps({"folder": str(folder), "name": name, "solid": said})
         try:
@@ -93,7 +110,7 @@ class CadWriter:
             pass  # it died: `finish` says of what
 
     def finish(self) -> tuple[str, ...]:
-        """Wait for the files; say why a part is no solid in them, if it is none.
+        """Wait for the files; say what is not as it should be: why surfaces make no solid.
 
         Raises
         ------
@@ -141,14 +158,15 @@ def write_files(
     surfaces = read_surface_json(folder / "surface.json")
     provenance = json.loads((folder / "surface.json").read_text(encoding="utf-8"))["provenance"]
     bodies = () if solid is None else _bodies(surfaces, solid)
+    mesh = _spare_mesh(folder / SPARE_MESH)
     reasons: list[str] = []
     for each in ("step", "iges"):
-        if each not in formats or not surfaces:  # no patch: nothing that such a file could hold
+        if each not in formats:
             continue
-        if solid is None:
+        if solid is not None and (bodies or mesh is not None):
+            reasons += _write_solid(folder, each, bodies, (name, provenance), solid, mesh)
+        elif surfaces:  # without a patch there is nothing that such a file could hold
             _write_patches(folder, each, surfaces, name, provenance)
-        else:
-            reasons += _write_solid(folder, each, bodies, name, provenance, solid.volume_mm3)
     if "3dm" in formats:
         curves = [record.curve for record in read_sections_json(folder / "sections.json")]
         write_threedm(
@@ -171,17 +189,36 @@ def _write_solid(
     folder: Path,
     form: str,
     bodies: Sequence[Body],
-    name: str,
-    provenance: dict[str, object],
-    volume_mm3: float,
+    stamps: tuple[str, dict[str, object]],
+    solid: SolidOrder,
+    mesh: Mesh | None,
 ) -> Iterator[str]:
+    """Write a part as a solid; what a person should know of it."""
     from reconstruction.exporting import write_iges_solid, write_step_solid
 
     write = {"step": write_step_solid, "iges": write_iges_solid}[form]
-    file = _FILE_OF[form]
-    found = write(folder / file, bodies, name=name, provenance=provenance, volume_mm3=volume_mm3)
-    for reason in found.reasons:
-        yield f"{file} holds open shells, no solid: {reason}"
+    file, (name, provenance) = _FILE_OF[form], stamps
+    found = write(
+        folder / file, bodies, name=name, provenance=provenance, volume_mm3=solid.volume_mm3,
+        mesh=mesh,
+    )  # fmt: skip
+    if found.reasons:
+        made = (
+            f"a solid of {found.facets} planar facets of the mesh, none of NURBS surfaces"
+            if found.facets
+            else "open shells, no solid"
+        )
+        yield f"{file} holds {made}: {'; '.join(found.reasons)}"
+
+
+def _spare_mesh(path: Path) -> Mesh | None:
+    """Read the mesh that was left for us, and take it away."""
+    if not path.exists():
+        return None
+    with np.load(path) as kept:
+        mesh = Mesh(kept["vertices_mm"], kept["faces"], kept["synthetic"])
+    path.unlink()
+    return mesh
 
 
 def _bodies(surfaces: Sequence[Surface], solid: SolidOrder) -> tuple[Body, ...]:

@@ -21,7 +21,7 @@ _DRAWN_QUANTILE = 0.98  # the colours end there: a tip nobody saw must not hide 
 
 def draw_certainty(done: FittedReconstruction, camera: Camera, size_px: tuple[int, int]) -> Picture:
     """Map the posterior standard deviation, mm, over every branch; caps are left out."""
-    sheets = [_sheet(skin) for skin in done.skinned.skins]
+    sheets = [_sheet(skin) for skin in done.skinned.shown]
     every = np.concatenate([deviations for _, deviations in sheets])
     limit = max(float(np.quantile(every, _DRAWN_QUANTILE)), 1e-9)
     layers = [

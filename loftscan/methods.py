@@ -20,6 +20,7 @@ from reconstruction.lofting import mesh_sections
 from reconstruction.meshing import Mesh
 from reconstruction.pipeline import Reconstruction
 from reconstruction.sections import Section
+from reconstruction.skinning.standing_in import Nurbs
 from reconstruction.skinning.surfacing import skin_slices
 
 AnySection = Section | FittedSection
@@ -42,6 +43,6 @@ def mesh_so_far(sections: Sequence[AnySection]) -> Mesh | None:
         return mesh_sections(drawn) if len(drawn) > 1 else None
     try:
         # What is there so far may be a cylinder and the whole none: nothing is claimed of it.
-        return skin_slices(fitted, exact=Exact.NEVER).mesh
+        return skin_slices(fitted, exact=Exact.NEVER, nurbs=Nurbs.ALWAYS).mesh
     except NotLoftable:
         return None

@@ -135,7 +135,7 @@ def polylines(section: AnySection) -> list[FloatArray]:
 
 def _certainty(result: Result, camera: Camera) -> list[Picture]:
     done = result.reconstruction
-    if not isinstance(done, FittedReconstruction):
+    if not isinstance(done, FittedReconstruction) or not done.skinned.shown:
         return []
     return [draw_certainty(done, camera, _SIZE_PX)]
 

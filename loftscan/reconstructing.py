@@ -28,6 +28,7 @@ from reconstruction.fitting.curve import Exact
 from reconstruction.paper import PaperSettings
 from reconstruction.pipeline import PaperCourse, Reconstruction
 from reconstruction.reduction import Box
+from reconstruction.skinning.standing_in import Nurbs
 from reconstruction.slices import Slice
 from reconstruction.slicing import PASSES, Cutting, cut_cloud
 from reconstruction.survey import Axis, Pass
@@ -50,6 +51,7 @@ class Settings:
     crop: Box | None = None
     intermediate: int = 0
     exact: Exact = Exact.AUTO
+    nurbs: Nurbs = Nurbs.AUTO
     cleanup: CleanupSettings = field(default_factory=CleanupSettings)
 
     def __post_init__(self) -> None:
@@ -74,6 +76,7 @@ class Settings:
             "--resolution-mm": fit and self.resolution_mm is not None,
             "--intermediate": fit and self.intermediate > 0,
             "--exact": not fit and self.exact is not Exact.AUTO,
+            "--nurbs": not fit and self.nurbs is not Nurbs.AUTO,
         }
         for option, given in useless.items():
             if given:
@@ -86,7 +89,7 @@ class Settings:
     def course(self) -> AnyCourse:
         """Begin a reconstruction by the method that was chosen."""
         if self.method is Method.FIT:
-            return FitCourse(self.exact, self.cleanup)
+            return FitCourse(self.exact, self.cleanup, nurbs=self.nurbs)
         paper = PaperSettings(resolution_mm=self.resolution_mm, intermediate=self.intermediate)
         return PaperCourse(paper, self.cleanup)
 
@@ -103,6 +106,7 @@ class Settings:
             "crop_mm": str(crop) if crop else None,
             "intermediate": self.intermediate,
             "exact": self.exact.value if self.method is Method.FIT else None,
+            "nurbs": self.nurbs.value if self.method is Method.FIT else None,
             "remesh_edge_mm": self.cleanup.remesh_edge_mm,
             "decimate_to_faces": self.cleanup.decimate_to_faces,
         }

@@ -143,11 +143,13 @@ class Result:
     ) -> None:
         from loftscan.reporting import write_result_report
 
-        cad.write(folder, name=self.name, solid=_solid_of(self.reconstruction))
+        solid = _solid_of(self.reconstruction)
+        spare = None if solid is None else self.mesh
+        cad.write(folder, name=self.name, solid=solid, mesh=spare)
         self._write_meshes(folder, formats)
         write_result_report(folder / "report.html", self)
-        for reason in cad.finish():
-            remark(reason)
+        for words in cad.finish():
+            remark(words)
 
     def _write_json_files(self, folder: Path) -> None:
         name, said = self.name, self.provenance
@@ -191,7 +193,7 @@ def _solid_of(done: AnyReconstruction) -> SolidOrder | None:
     """How the surfaces of branches enclose the part; the paper's patches enclose nothing."""
     if not isinstance(done, FittedReconstruction):
         return None
-    bodies = bodies_of(done.skinned.skins)
+    bodies = bodies_of(done.skinned.shown)
     return SolidOrder(
         holes=tuple(body.hole for body in bodies),
         closings=tuple(body.closing.value for body in bodies),

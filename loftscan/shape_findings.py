@@ -38,7 +38,7 @@ def apexes_said(done: FittedReconstruction) -> list[dict[str, object]]:
             "sharp": tip.sharp,
             "exact": done.skinned.shapes[tip.branch] is not None,
         }
-        for tip in tips_of(done.skinned.skins)
+        for tip in tips_of(done.skinned.shown)
     ]
 
 
@@ -63,7 +63,7 @@ def shape_tables(done: AnyReconstruction) -> tuple[MetricGroup, ...]:
         )
         for number, shape in _found(done)
     ]
-    tips = [fact for tip in tips_of(done.skinned.skins) for fact in _tip_facts(tip)]
+    tips = [fact for tip in tips_of(done.skinned.shown) for fact in _tip_facts(tip)]
     return tuple(groups) + ((MetricGroup("Ends in a point", tuple(tips)),) if tips else ())
 
 

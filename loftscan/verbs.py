@@ -27,6 +27,7 @@ from reconstruction.cleanup import CleanupSettings
 from reconstruction.comparison import Align
 from reconstruction.fitting.curve import Exact
 from reconstruction.reduction import Box
+from reconstruction.skinning.standing_in import Nurbs
 from reconstruction.slices import Slice
 from reconstruction.survey import Axis
 
@@ -38,6 +39,7 @@ def reconstruct(
     unit: Literal["mm", "cm", "m", "um", "inch"] = "mm",
     method: Literal["fit", "paper"] = "fit",
     exact: Literal["auto", "never"] = "auto",
+    nurbs: Literal["auto", "always"] = "auto",
     spacing_mm: float | None = None,
     resolution_mm: float | None = None,
     tolerance_mm: float | None = None,
@@ -65,6 +67,9 @@ def reconstruct(
         Of ``"fit"``: whether circles of slices, and cylinders, cones, spheres and surfaces of
         revolution of the part, are returned as such, with their figures (`Result.shapes`), where
         the points prefer it.
+    nurbs
+        Of ``"fit"``: ``"always"`` keeps the NURBS surfaces of the branches where one mesh around
+        all points would stand in for them, because it follows the points and they do not.
     spacing_mm, resolution_mm
         Distance between slices (of a cloud only), and side of a cell (of ``"paper"`` only); by
         default found from the points.
@@ -96,6 +101,7 @@ def reconstruct(
         crop=None if crop_mm is None else _box(crop_mm),
         intermediate=intermediate,
         exact=Exact(exact),
+        nurbs=Nurbs(nurbs),
         cleanup=CleanupSettings(remesh_edge_mm=remesh_edge_mm, decimate_to_faces=decimate_to_faces),
     )
     slices = _slices_in(source)
@@ -111,6 +117,7 @@ def reconstruct_stream(
     name: str | None = None,
     method: Literal["fit", "paper"] = "fit",
     exact: Literal["auto", "never"] = "auto",
+    nurbs: Literal["auto", "always"] = "auto",
     resolution_mm: float | None = None,
     tolerance_mm: float | None = None,
     crop_mm: Sequence[Sequence[float]] | None = None,
@@ -159,6 +166,7 @@ def reconstruct_stream(
         crop=None if crop_mm is None else _box(crop_mm),
         intermediate=intermediate,
         exact=Exact(exact),
+        nurbs=Nurbs(nurbs),
         cleanup=CleanupSettings(remesh_edge_mm=remesh_edge_mm, decimate_to_faces=decimate_to_faces),
     )
     slices = _coming(source, kinematics, patience_s)

@@ -24,8 +24,11 @@ from reconstruction.nurbs import Surface
 from reconstruction.sections import Residual, Skipped
 from reconstruction.skinning.drawing import SliceOutlines
 from reconstruction.skinning.ends import Brim
+from reconstruction.skinning.standing_in import Nurbs
 from reconstruction.skinning.surfacing import Skinned, skin_slices
 from reconstruction.slices import Slice
+
+_LEVEL = 1e-9  # of the height
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,8 +45,8 @@ class FittedReconstruction:
 
     @property
     def patches(self) -> tuple[Surface, ...]:
-        """One surface a branch, from the outside in."""
-        return tuple(skin.surface for skin in self.skinned.skins)
+        """One surface a branch, from the outside in; none where the mesh is not theirs."""
+        return tuple(skin.surface for skin in self.skinned.shown)
 
     @property
     def mesh(self) -> Mesh:
@@ -63,15 +66,28 @@ class FittedReconstruction:
     @property
     def cap_heights_mm(self) -> FloatArray:
         """Heights along the stacking normal at which flat caps close the part."""
-        brims = [brim for skin in self.skinned.skins for brim in skin.brims or ()]
+        if not self.skinned.shown:
+            return self._level_ends_mm()
+        brims = [brim for skin in self.skinned.shown for brim in skin.brims or ()]
         return np.array([brim.height_mm for brim in brims if isinstance(brim, Brim)])
+
+    def _level_ends_mm(self) -> FloatArray:
+        """Heights of level faces beyond the outermost slices, of a mesh that stands in."""
+        heights = self.skinned.mesh.vertices_mm @ self.sections[0].frame.axes[2]
+        ends = [heights.min(), heights.max()]
+        corners = heights[self.skinned.mesh.faces]
+        near = _LEVEL * (ends[1] - ends[0])
+        return np.array([end for end in ends if (np.abs(corners - end) < near).all(axis=1).any()])
 
 
 class FitCourse:
     """`--method fit`: what a slice leaves is its curves, and the moments of their points."""
 
-    def __init__(self, exact: Exact, cleanup: CleanupSettings) -> None:
+    def __init__(
+        self, exact: Exact, cleanup: CleanupSettings, *, nurbs: Nurbs = Nurbs.AUTO
+    ) -> None:
         self._exact = exact
+        self._nurbs = nurbs
         self._cleanup = cleanup
         self._stack: list[SliceOutlines] = []
         self._sections: list[FittedSection] = []
@@ -92,6 +108,6 @@ class FitCourse:
         closed = [section.index for section in self._sections if section.closed]
         if len(closed) < 2:
             raise too_few("closed section", closed, indices, skipped, remedy)
-        skinned = skin_slices(self._stack, exact=self._exact)
+        skinned = skin_slices(self._stack, exact=self._exact, nurbs=self._nurbs)
         cleaned = clean(skinned.mesh, self._cleanup)
         return FittedReconstruction(tuple(self._sections), tuple(skipped), skinned, cleaned)

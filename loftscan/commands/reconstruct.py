@@ -59,6 +59,12 @@ def reconstruct(
         str,
         typer.Option(help="Circles, cylinders and the like as such, method fit: auto or never."),
     ] = "auto",
+    nurbs: Annotated[
+        str,
+        typer.Option(
+            help="Method fit: auto, or always, where a mesh of all points would be truer."
+        ),
+    ] = "auto",
     tolerance_mm: Tolerance = None,
     crop: Annotated[
         str | None, typer.Option(help="Use only this box, in mm: xmin,xmax,ymin,ymax,zmin,zmax.")
@@ -83,7 +89,7 @@ def reconstruct(
 
         settings = _settings(
             method, axis, unit, spacing_mm, resolution_mm, tolerance_mm, crop, intermediate,
-            exact, remesh_mm, decimate_faces,
+            exact, nurbs, remesh_mm, decimate_faces,
         )  # fmt: skip
         # Refused before the work, not after it.
         wanted = writable_formats(formats)
@@ -166,6 +172,7 @@ def _settings(
     crop: str | None,
     intermediate: int,
     exact: str,
+    nurbs: str,
     remesh_mm: float | None,
     decimate_faces: int | None,
 ) -> Settings:
@@ -174,6 +181,7 @@ def _settings(
     from loftscan.reconstructing import Settings
     from reconstruction.cleanup import CleanupSettings
     from reconstruction.fitting.curve import Exact
+    from reconstruction.skinning.standing_in import Nurbs
     from reconstruction.survey import Axis
 
     if remesh_mm is not None and not 0.0 < remesh_mm < math.inf:
@@ -190,5 +198,6 @@ def _settings(
         crop=None if crop is None else parse_crop(crop),
         intermediate=intermediate,
         exact=choice(Exact, exact, "--exact"),
+        nurbs=choice(Nurbs, nurbs, "--nurbs"),
         cleanup=CleanupSettings(remesh_edge_mm=remesh_mm, decimate_to_faces=decimate_faces),
     )

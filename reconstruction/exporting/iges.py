@@ -13,6 +13,7 @@ from reconstruction.exporting.atomic import replacing
 from reconstruction.exporting.bodies import Body
 from reconstruction.exporting.brep import require_open_cascade, shells, silence
 from reconstruction.exporting.solids import Solidity, assemble
+from reconstruction.meshing import Mesh
 from reconstruction.nurbs.values import Surface
 
 
@@ -59,6 +60,7 @@ def write_iges_solid(
     organisation: str = "",
     sew_within_mm: float = 1e-4,
     volume_mm3: float | None = None,
+    mesh: Mesh | None = None,
 ) -> Solidity:
     """Write every face of a part's solids, flat caps too, as trimmed surfaces (entity 144).
 
@@ -66,10 +68,10 @@ def write_iges_solid(
     value returned. Readers sew them: the entities that hold solids are read by few programs.
     """
     require_open_cascade()
-    if not bodies:
+    if not bodies and mesh is None:
         raise ValueError(f"{path}: no body to write")
     with silence():
-        made = assemble(bodies, sew_within_mm=sew_within_mm, volume_mm3=volume_mm3)
+        made = assemble(bodies, sew_within_mm=sew_within_mm, volume_mm3=volume_mm3, mesh=mesh)
         text = _text_of(path, made.shape, name, provenance, author, organisation)
     with replacing(path) as file:
         file.write(text.getbuffer())

@@ -2,7 +2,8 @@
 
 A flat cap is a plane bounded by the surface's own border edge, so nothing is approximated. Bodies
 that meet share cap planes; Open CASCADE's Boolean operations cut plane from plane there, which is
-exact as well. What does not come out as valid solids is not written as solids: the reasons say why.
+exact as well. What does not come out as a valid solid is made of the part's mesh instead, in planar
+facets (`facets`), or not written as a solid at all: the reasons say why.
 
 ::
 
@@ -13,7 +14,7 @@ exact as well. What does not come out as valid solids is not written as solids: 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Any
 
@@ -21,6 +22,8 @@ import numpy as np
 
 from reconstruction.exporting.bodies import Body, Closing, borders_of, plane_of
 from reconstruction.exporting.brep import geometry, shell_of, shells
+from reconstruction.exporting.facets import facet_solids, thinned
+from reconstruction.meshing import Mesh
 from reconstruction.nurbs.values import Curve
 
 _VOLUME_WITHIN = 1e-5  # of the volume: how exactly Open CASCADE integrates
@@ -33,7 +36,8 @@ class Solidity:
 
     solids: int  # closed, valid, one for each outer shell; 0: only patches
     volume_mm3: float  # of the solids, by Open CASCADE; 0 without any
-    reasons: tuple[str, ...]  # why there is no solid; empty if there is one
+    reasons: tuple[str, ...]  # why the surfaces make no solid; empty if they do
+    facets: int = 0  # planar faces of a solid made of the mesh instead
 
     @property
     def closed(self) -> bool:
@@ -61,15 +65,21 @@ class _Region:
 
 
 def assemble(
-    bodies: Sequence[Body], *, sew_within_mm: float, volume_mm3: float | None = None
+    bodies: Sequence[Body],
+    *,
+    sew_within_mm: float,
+    volume_mm3: float | None = None,
+    mesh: Mesh | None = None,
 ) -> Assembly:
-    """Make solids of bodies, or open shells of their surfaces where that fails.
+    """Make solids of bodies; where that fails, of planar facets, or open shells of the surfaces.
 
     Parameters
     ----------
     volume_mm3
         What the part is known to hold, from its mesh; a solid that differs by more than 0.1 % is
         not the part.
+    mesh
+        The part's closed mesh; without it there are no facets.
     """
     from OCP.Standard import Standard_Failure
 
@@ -77,10 +87,49 @@ def assemble(
         region = _joined(bodies, sew_within_mm)
         found = _checked(region.shape, volume_mm3)
     except _NoSolid as wrong:
-        return _patches(bodies, sew_within_mm, str(wrong))
+        return _instead(bodies, sew_within_mm, mesh, volume_mm3, str(wrong))
     except Standard_Failure as failed:
-        return _patches(bodies, sew_within_mm, f"Open CASCADE cannot join the bodies: {failed}")
+        reason = f"Open CASCADE cannot join the bodies: {failed}"
+        return _instead(bodies, sew_within_mm, mesh, volume_mm3, reason)
     return Assembly(region.shape, region.faces, found)
+
+
+def _instead(
+    bodies: Sequence[Body],
+    within_mm: float,
+    mesh: Mesh | None,
+    volume_mm3: float | None,
+    reason: str,
+) -> Assembly:
+    """Planar facets of the mesh, or the surfaces alone."""
+    from OCP.Standard import Standard_Failure
+
+    if mesh is None:
+        return _patches(bodies, within_mm, reason)
+    try:
+        return _facetted(mesh, volume_mm3, reason)
+    except (_NoSolid, Standard_Failure) as wrong:
+        again = _patches(bodies, within_mm, reason)
+        also = f"nor do facets of the mesh: {wrong}"
+        return replace(again, solidity=replace(again.solidity, reasons=(reason, also)))
+
+
+def _facetted(mesh: Mesh, volume_mm3: float | None, reason: str) -> Assembly:
+    from OCP.BRep import BRep_Builder
+    from OCP.TopoDS import TopoDS_Compound
+
+    thin = thinned(mesh)
+    solids = facet_solids(thin)
+    if not solids:
+        raise _NoSolid("the mesh has no outside")
+    shape = solids[0]
+    if len(solids) > 1:
+        shape = TopoDS_Compound()
+        BRep_Builder().MakeCompound(shape)
+        for each in solids:
+            BRep_Builder().Add(shape, each)
+    found = _checked(shape, volume_mm3)
+    return Assembly(shape, (), replace(found, reasons=(reason,), facets=len(thin.faces)))
 
 
 def _patches(bodies: Sequence[Body], within_mm: float, reason: str) -> Assembly:
@@ -103,7 +152,7 @@ def _joined(bodies: Sequence[Body], within_mm: float) -> _Region:
         if operands:
             whole = _combined(whole, operands, hole=hole)
     if whole is None:
-        raise _NoSolid("no body")
+        raise _NoSolid("no surface follows the part, only its mesh does")
     return whole
 
 

@@ -27,6 +27,7 @@ from reconstruction.exporting.brep import (
     surface_of,
 )
 from reconstruction.exporting.solids import Solidity, assemble
+from reconstruction.meshing import Mesh
 from reconstruction.nurbs.values import Surface
 
 Schema = Literal["AP214IS", "AP242DIS"]
@@ -95,12 +96,14 @@ def write_step_solid(
     time_stamp: str | None = None,
     sew_within_mm: float = 1e-4,
     volume_mm3: float | None = None,
+    mesh: Mesh | None = None,
 ) -> Solidity:
     """Write one closed solid for each outer shell of a part; its cavities are voids in there.
 
     Only solids that Open CASCADE's BRepCheck calls valid are written as such. Where there are none,
-    the file has the patches as `write_step` writes them, and the value returned says why. BRepCheck
-    does not see a wall that crosses itself; nor does this.
+    the file has a solid of planar facets of the mesh, if that is given; else the patches as
+    `write_step` writes them. The value returned says why. BRepCheck does not see a wall that
+    crosses itself; nor does this.
 
     Parameters
     ----------
@@ -109,6 +112,8 @@ def write_step_solid(
         hole, taken out.
     volume_mm3
         What the part's mesh holds. A solid that differs by more than 0.1 % is not written.
+    mesh
+        The part's closed mesh, to be written as planar facets where its surfaces make no solid.
     path, name, provenance, time_stamp, sew_within_mm
         As in `write_step`.
 
@@ -126,10 +131,10 @@ def write_step_solid(
         The file cannot be written.
     """
     require_open_cascade()
-    if not bodies:
+    if not bodies and mesh is None:
         raise ValueError(f"{path}: no body to write")
     with silence():
-        made = assemble(bodies, sew_within_mm=sew_within_mm, volume_mm3=volume_mm3)
+        made = assemble(bodies, sew_within_mm=sew_within_mm, volume_mm3=volume_mm3, mesh=mesh)
         stamps = _Stamps(name, provenance, author, organisation, schema, time_stamp)
         text = _text_of(made.shape, made.faces, stamps)
     with replacing(path) as file:

@@ -16,8 +16,8 @@ _FIRM = 1e3
 
 def empty_system(unknowns: Unknowns) -> tuple[Blocks, FloatArray]:
     """A zero matrix and right side."""
-    blocks, size = len(unknowns.place), unknowns.width
-    return empty_blocks(blocks, size, unknowns.reach), np.zeros((blocks, size))
+    lines, size = unknowns.lines, unknowns.width
+    return empty_blocks(lines, size, unknowns.reach), np.zeros((lines, size))
 
 
 def add_data(
@@ -33,7 +33,7 @@ def add_data(
     matrix, right = system
     at_u, at_v = at
     _add_data(
-        matrix.panels, right.reshape(-1), unknowns.directions, unknowns.place,
+        matrix.panels, right.reshape(-1), unknowns.directions, unknowns.numbers,
         net.apex, at_u.first, at_u.values[:, 0], at_v.first, at_v.values[:, 0], normals,
         distances_mm, weights,
     )  # fmt: skip
@@ -50,7 +50,7 @@ def _enter(panels: FloatArray, size: int, p: int, q: int, value: float) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def row_at(
-    directions: FloatArray, place: IntArray, apex: BoolArray, first_u: int, values_u: FloatArray,
+    directions: FloatArray, number: IntArray, apex: BoolArray, first_u: int, values_u: FloatArray,
     first_v: int, values_v: FloatArray, normal: FloatArray, numbers: IntArray, slopes: FloatArray,
 ) -> int:  # fmt: skip
     """How the surface moves along a normal with each unknown; returns how many take part."""
@@ -60,7 +60,7 @@ def row_at(
         j = (first_v + b) % count_v
         if apex[j]:
             for d in range(3):
-                numbers[held], slopes[held] = place[j] * count_u + d, values_v[b] * normal[d]
+                numbers[held], slopes[held] = number[d, j], values_v[b] * normal[d]
                 held += 1
             continue
         for a in range(4):
@@ -68,7 +68,7 @@ def row_at(
             along = 0.0
             for d in range(3):
                 along += directions[i, j, d] * normal[d]
-            numbers[held] = place[j] * count_u + i
+            numbers[held] = number[i, j]
             slopes[held] = values_u[a] * values_v[b] * along
             held += 1
     return held
@@ -77,7 +77,7 @@ def row_at(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _add_data(
     panels: FloatArray, right: FloatArray, directions: FloatArray,
-    place: IntArray, apex: BoolArray, first_u: IntArray, values_u: FloatArray, first_v: IntArray,
+    number: IntArray, apex: BoolArray, first_u: IntArray, values_u: FloatArray, first_v: IntArray,
     values_v: FloatArray, normals: FloatArray, distances: FloatArray, weights: FloatArray,
 ) -> None:  # fmt: skip
     size = panels.shape[1]
@@ -86,7 +86,7 @@ def _add_data(
         if not weights[m] > 0.0:
             continue
         held = row_at(
-            directions, place, apex, first_u[m], values_u[m], first_v[m], values_v[m],
+            directions, number, apex, first_u[m], values_u[m], first_v[m], values_v[m],
             normals[m], numbers, slopes,
         )  # fmt: skip
         for p in range(held):
@@ -134,9 +134,8 @@ def add_tangency(
     The plane is free to tilt: what is tied are the heights of the row's points above the apex, but
     for what a tilt explains. The tie is a thousand times firmer than anything else there.
     """
-    row, ring = (len(unknowns.place) - 1, -2) if last else (0, 1)
-    beside = row - 1 if last else 1
-    width = unknowns.width
+    row, ring = (-1, -2) if last else (0, 1)
+    width = len(unknowns.numbers)
     arms = net.control_mm[:, ring] - net.control_mm[:, row]
     normal = unit_normals(arms, np.roll(arms, -1, axis=0)).sum(axis=0)
     normal /= max(float(np.linalg.norm(normal)), 1e-300)
@@ -146,10 +145,7 @@ def add_tangency(
     slopes = np.zeros((width, width + APEX))
     slopes[:, :width] = np.diag(unknowns.directions[:, ring] @ normal)
     slopes[:, width:] = -normal
-    numbers = np.concatenate(
-        [unknowns.place[beside] * width + np.arange(width),
-         unknowns.place[row] * width + np.arange(APEX)]
-    )  # fmt: skip
+    numbers = np.concatenate([unknowns.numbers[:, ring], unknowns.numbers[:APEX, row]])
     matrix, right = system
     firm = _FIRM * float(matrix.diagonal.reshape(-1)[numbers].max())
     _enter_all(matrix.panels, numbers, firm * slopes.T @ rest @ slopes)

@@ -44,7 +44,7 @@ def _rows_along(net: Net, unknowns: Unknowns, knots: FloatArray, *, along_u: boo
     spans = int(net.spans[0] if along_u else net.spans[1])
     basis = basis_of_spans(knots)
     numbers, slopes, values = _changes(
-        net.control_mm, unknowns.directions, unknowns.place, net.apex, basis.first, basis.values,
+        net.control_mm, unknowns.directions, unknowns.numbers, net.apex, basis.first, basis.values,
         along_u=along_u,
     )  # fmt: skip
     u, v = grevilles(net)
@@ -57,7 +57,7 @@ def _rows_along(net: Net, unknowns: Unknowns, knots: FloatArray, *, along_u: boo
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _changes(
-    control: FloatArray, directions: FloatArray, place: IntArray, apex: BoolArray,
+    control: FloatArray, directions: FloatArray, number: IntArray, apex: BoolArray,
     firsts: IntArray, bases: FloatArray, *, along_u: bool,
 ) -> tuple[IntArray, FloatArray, FloatArray]:  # fmt: skip
     count_u, count_v = control.shape[:2]
@@ -90,10 +90,10 @@ def _changes(
                     i, j = (at, other) if along_u else (other, at)
                     if apex[j]:
                         for d in range(3):
-                            numbers[row, 4 + d] = place[j] * count_u + d
+                            numbers[row, 4 + d] = number[d, j]
                             slopes[row, 4 + d] += sign * tips[t, k, d]
                     else:
-                        numbers[row, k] = place[j] * count_u + i
+                        numbers[row, k] = number[i, j]
                         slopes[row, k] += sign * parts[t, k]
     return numbers, slopes, values
 

@@ -101,7 +101,8 @@ def inverse_blocks(factor: Factor) -> Blocks:
     for k in range(count - 1, -1, -1):
         root = panels[k, :, :size].T
         own, _ = dpotri(root, lower=True)
-        own = np.tril(own) + np.tril(own, -1).T
+        own = own + own.T  # above the diagonal of a factor there are zeros
+        np.einsum("ii->i", own)[:] *= 0.5
         below = _below(panels, k)
         width = below.shape[1]
         # What a unit of block k leaves for those below it, transposed.

@@ -28,6 +28,7 @@ from reconstruction.skinning.net import Net
 from reconstruction.skinning.ring_caps import triangulate_ring
 
 _MOST_A_SPAN = 16
+_MOST_FACES = 250_000  # of a branch
 _SAMPLED = 4  # of a span, to look how far chords lie off
 
 
@@ -60,6 +61,15 @@ def exact_lines(skin: ExactSkin, tolerance_mm: float) -> Lines:
     also_u, also_v = also
     u, v = place_lines(flatness(surface), tolerance_mm=tolerance_mm, also_u=also_u, also_v=also_v)
     return Lines(u[:-1] if surface.periodic_u else u, v[:-1] if surface.periodic_v else v)
+
+
+def affordable_mm(skin: AnySkin, tolerance_mm: float) -> float:
+    """The tolerance, or a wider one where a free surface would get too many faces by it."""
+    if isinstance(skin, ExactSkin):
+        return tolerance_mm
+    lines = choose_lines(skin.fit.net, tolerance_mm)
+    faces = 2 * len(lines.u) * len(lines.v)  # about inversely as the tolerance
+    return tolerance_mm * max(faces / _MOST_FACES, 1.0)
 
 
 def _bows(places: FloatArray) -> FloatArray:

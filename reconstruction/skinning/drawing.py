@@ -5,15 +5,34 @@ slice -> in the plane, heights apart -> curves (`fitting.section`) -> outlines, 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from reconstruction.arrays import FloatArray
 from reconstruction.errors import TooFewPoints
-from reconstruction.fitting.curve import Exact
+from reconstruction.fitting.curve import Exact, FittedCurve
 from reconstruction.fitting.section import SectionFit, resolve_section
+from reconstruction.reduction import reduce_points
 from reconstruction.skinning.outlines import Outline, outline_of
 from reconstruction.slices import Frame, Slice
+
+_MOST_GRAINS = 1_500  # points kept one by one; of more, those that share a box are one
+_WIDE = 2.0  # standard deviations: a box, ...
+_ACROSS = 400.0  # ... but no less than the slice's size over that
+_LEAST_MM = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grains:
+    """Points of a slice, near ones as one."""
+
+    points_mm: FloatArray  # (n, 3), part frame
+    counts: FloatArray  # (n,)
+
+
+EMPTY = Grains(np.empty((0, 3)), np.empty(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,6 +46,7 @@ class SliceOutlines:
     strays: int  # points set aside
     unordered: int  # points that hang together without a curve
     notes: tuple[str, ...]  # what is not certain
+    grains: Grains = EMPTY  # all its points, whatever became of them
 
     @property
     def unresolved(self) -> bool:
@@ -50,7 +70,10 @@ def draw_outlines(piece: Slice, *, exact: Exact = Exact.AUTO) -> SliceOutlines:
             solid=True,
         )
     except TooFewPoints as few:
-        return SliceOutlines(piece.index, piece.frame, (), (), len(piece.points_mm), 0, (str(few),))
+        lost = len(piece.points_mm)
+        return SliceOutlines(
+            piece.index, piece.frame, (), (), lost, 0, (str(few),), _grains(piece.points_mm, ())
+        )
     drawn = [
         outline_of(piece.index, piece.frame, curve, hole=curve.closed and depth % 2 == 1)
         for curve, depth in zip(found.curves, found.depths, strict=True)
@@ -63,7 +86,19 @@ def draw_outlines(piece: Slice, *, exact: Exact = Exact.AUTO) -> SliceOutlines:
         len(found.strays),
         len(found.unordered),
         _notes(found),
+        _grains(piece.points_mm, found.curves),
     )
+
+
+def _grains(points_mm: FloatArray, curves: Sequence[FittedCurve]) -> Grains:
+    """Points (n, 3), those in one box about as wide as their scatter as one."""
+    if len(points_mm) <= _MOST_GRAINS:
+        return Grains(points_mm, np.ones(len(points_mm)))
+    size_mm = float(np.ptp(points_mm, axis=0).max())
+    sigmas = [each.sigma_mm for each in curves]
+    box_mm = max(_WIDE * float(np.median(sigmas)) if sigmas else 0.0, size_mm / _ACROSS, _LEAST_MM)
+    cells = reduce_points(points_mm, size_mm=(box_mm, box_mm, box_mm))
+    return Grains(cells.centres_mm, cells.counts.astype(np.float64))
 
 
 def _notes(found: SectionFit) -> tuple[str, ...]:

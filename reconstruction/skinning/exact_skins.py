@@ -25,7 +25,7 @@ from reconstruction.skinning.exact_ends import Levels, ended
 from reconstruction.skinning.exact_shapes import Shape
 from reconstruction.skinning.noise import Noise
 from reconstruction.skinning.outlines import Moments
-from reconstruction.skinning.primitives import Sphere
+from reconstruction.skinning.primitives import Plane, Sphere
 from reconstruction.skinning.recognition import misfit_of, recognised
 from reconstruction.skinning.revolution import Revolution
 from reconstruction.skinning.skin import Skin, noise_of
@@ -109,8 +109,8 @@ def exact_skin(branch: Branch, loose: Moments | None, levels: Levels) -> ExactSk
             moments, variances, inflation=noise.inflation,
             noise_covariance_mm2=noise.covariance_mm2,
         )  # fmt: skip
-        if shape is None:
-            return None
+        if shape is None or isinstance(shape.form, Plane):
+            return None  # of a plane are the outlines of one slice: they bound no wall
         noise = _noise_about(shape, noise)
     assert shape is not None, "it went round"
     if loose is not None and len(loose) and _any_near(shape, loose, noise):

@@ -18,11 +18,11 @@ from numpy.typing import ArrayLike
 
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import NotLoftable
+from reconstruction.manifolds import manifold_of, mesh_of
 from reconstruction.meshing import Mesh
 from reconstruction.skinning.slivers import without_slivers
 
 _ROUNDING = 1e-11  # of the size: heights closer than that are meant to be one
-_MARKED = 0.5  # of the way from a measured vertex to a synthetic one
 
 
 def join_solids(
@@ -63,7 +63,9 @@ def join_solids(
         solid = manifold3d.Manifold.batch_boolean(operands, operation)
     if solid.is_empty():
         raise NotLoftable(f"{len(parts)} parts leave no solid: {sum(holes)} of them are cavities")
-    return without_slivers(_mesh(solid, upright), within_mm=within_mm)
+    made = mesh_of(solid)
+    back = Mesh(made.vertices_mm @ upright, made.faces, made.synthetic)
+    return without_slivers(back, within_mm=within_mm)
 
 
 def _upright(normal: FloatArray) -> FloatArray:
@@ -88,8 +90,7 @@ def _levelled(places: list[FloatArray]) -> list[FloatArray]:
 
 
 def _body(number: int, part: Mesh, places: FloatArray) -> manifold3d.Manifold:
-    rows = np.column_stack([places, part.synthetic])
-    body = manifold3d.Manifold(manifold3d.Mesh64(rows, part.faces.astype(np.uint64)))
+    body = manifold_of(Mesh(places, part.faces, part.synthetic), marked=True)
     fault = body.status()
     if fault != manifold3d.Error.NoError:
         raise NotLoftable(
@@ -98,16 +99,3 @@ def _body(number: int, part: Mesh, places: FloatArray) -> manifold3d.Manifold:
     if not body.volume() > 0.0:
         raise NotLoftable(f"part {number} is flat or inside out", indices=(number,))
     return body
-
-
-def _mesh(solid: manifold3d.Manifold, upright: FloatArray) -> Mesh:
-    """Back in the part frame; vertices that differ only in their marks are one."""
-    made = solid.to_mesh64()
-    rows = np.asarray(made.vert_properties)
-    target = np.arange(len(rows))
-    target[np.asarray(made.merge_from_vert, dtype=np.int64)] = made.merge_to_vert
-    kept, numbers = np.unique(target, return_inverse=True)
-    synthetic = np.zeros(len(kept), dtype=np.bool_)
-    np.logical_or.at(synthetic, numbers, rows[:, 3] >= _MARKED)
-    faces = numbers[np.asarray(made.tri_verts).astype(np.int64)]
-    return Mesh(rows[kept, :3] @ upright, faces, synthetic)

@@ -141,7 +141,7 @@ def _net(
     if brims is not None:
         weights[[0, -1]] = _FIRM
     along = _smoother(rows, knots_v, weights, places, closed=brims is None)
-    control = np.einsum("ic,jr,rcd->ijd", around, along, places)
+    control = np.tensordot(around, np.tensordot(along, places, (1, 0)), (1, 1))
     apex = np.zeros(control.shape[1], np.bool_)
     for last, brim in enumerate(brims or ()):
         row = -last

@@ -7,7 +7,7 @@ slab that is flattened fattens a sloping wall by its slope times the slab's thic
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -76,7 +76,7 @@ class Outline:
 
     slice_index: int
     frame: Frame  # of the cutting plane
-    fitted: FittedCurve  # (x, y) of the frame; loops counter-clockwise, holes clockwise
+    fitted: FittedCurve  # (x, y) of the frame; of its cells only those of single points are kept
     hole: bool  # material lies outside of it
     moments: Moments
     u: FloatArray  # (m,), where on the curve each cell belongs
@@ -101,14 +101,21 @@ def outline_of(slice_index: int, frame: Frame, fitted: FittedCurve, *, hole: boo
     near = np.flatnonzero(_deviations(fitted) <= _OUTLYING)
     moments = lifted(cells.only(near), frame)
     most = int(_CELLS_A_FREEDOM * fitted.edf) + _LEAST_CELLS
+    kept = _with_single_points(fitted)
     if len(near) <= most:
-        return Outline(slice_index, frame, fitted, hole, moments, u[near])
+        return Outline(slice_index, frame, kept, hole, moments, u[near])
     start, end = fitted.domain
     groups = np.clip(((u[near] - start) / (end - start) * most).astype(np.int64), 0, most - 1)
     used = np.flatnonzero(np.bincount(groups, minlength=most))
     held = np.bincount(groups, cells.counts[near] * u[near], most)[used]
     merged = moments.merged(groups, most)
-    return Outline(slice_index, frame, fitted, hole, merged, held / merged.counts)
+    return Outline(slice_index, frame, kept, hole, merged, held / merged.counts)
+
+
+def _with_single_points(fitted: FittedCurve) -> FittedCurve:
+    """The curve without its cells of many points: the outline has them, and a scan is long."""
+    single = np.flatnonzero(fitted.cells.counts == 1.0)
+    return replace(fitted, cells=fitted.cells.only(single), u=fitted.u[single])
 
 
 def _deviations(fitted: FittedCurve) -> FloatArray:

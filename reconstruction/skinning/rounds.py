@@ -8,9 +8,9 @@ factorisation and a solution.
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -28,7 +28,8 @@ from reconstruction.skinning.variances import row_variances
 
 _LEAST_POINTS = 12.0
 _LEASH = 9.0  # variances of a point, and a span, that a control point may well go from its start
-_FREE = 1e-8  # of the largest pivot, for what the stiffness leaves free
+_FREE = 1e-10  # of its own pivot, for what the stiffness leaves free
+_APART = 14.0  # logarithms: a stiffness beside one so much greater would be less than that
 _RIDGE = 1e-12  # of the largest pivot
 _FULL = 4.0  # standard deviations up to which a cell counts in full ...
 _NONE = 8.0  # ... and from which it does not count
@@ -176,7 +177,7 @@ def _system(
     density = diagonals[0] / _DATA_DIAGONAL
     along_u, along_v = (
         _liveliness(density, (after - before) / _BEND_DIAGONAL)
-        for before, after in itertools.pairwise(diagonals)
+        for before, after in pairwise(diagonals)
     )
     return system, (along_u, along_v)
 
@@ -206,7 +207,7 @@ def _leash(
     diagonal = matrix.diagonal
     diagonal[diagonal > 0.0] += 1.0 / variance_mm2
     away = ((net.control_mm - start_mm) * unknowns.directions).sum(axis=2)
-    right[unknowns.place] -= away.T / variance_mm2
+    right.reshape(-1)[unknowns.numbers] -= away / variance_mm2
 
 
 def _hold_the_rest(matrix: Blocks) -> None:
@@ -223,7 +224,9 @@ def _ranks(unknowns: Unknowns, rows: tuple[Rows, Rows], laid: list[FloatArray]) 
     for each, values in zip(rows, laid, strict=True):
         add_stiffness(matrix, each, values)
     diagonal = matrix[0].diagonal
-    diagonal += _FREE * float(diagonal.max())
+    # Each by its own: where the surface is soft, the largest one's share would stiffen it.
+    diagonal[diagonal == 0.0] = float(diagonal.max())
+    diagonal *= 1.0 + _FREE
     factor = factorise(matrix[0])
     assert factor is not None, "a ridge makes it positive"
     inverse = inverse_blocks(factor)
@@ -252,4 +255,5 @@ def _learnt(
         found, gain = lattice.stepped(each, log, other, rank - share, forms)
         fresh.append(found)
         gained += gain
-    return (fresh[0], fresh[1]), spent, gained
+    most = np.minimum(fresh[0], fresh[1]) + _APART
+    return (np.minimum(fresh[0], most), np.minimum(fresh[1], most)), spent, gained

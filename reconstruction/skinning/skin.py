@@ -16,6 +16,7 @@ from reconstruction.skinning.creases import find_creases
 from reconstruction.skinning.ends import Apex, Brim, brim_or_apex
 from reconstruction.skinning.feet import nearby
 from reconstruction.skinning.laying import Laid, lay_net
+from reconstruction.skinning.merging import Cells
 from reconstruction.skinning.net import basis_at, unit_normals
 from reconstruction.skinning.noise import Noise
 from reconstruction.skinning.outlines import Moments
@@ -25,9 +26,10 @@ from reconstruction.skinning.variances import variances_across
 
 _SPANS_A_FREEDOM = 2.5
 _MORE_SPANS = 10
-_LEAST_SPANS_U = 12
+_LEAST_SPANS_U, _WIDE_SPANS_U = 12, 240  # half of what their own sections use at least
 _MOST_SPANS = 240
-_LEAST_SPANS_V = 6
+_ROUND_SPANS = 48  # an exact ellipse is told by five numbers, but takes so many spans to follow
+_LEAST_SPANS_V, _WIDE_SPANS_V = 6, 32
 _MOST_SPANS_V = 160
 _STATIONS_A_SPAN = 3
 _LEAST_STATIONS = 96
@@ -49,8 +51,12 @@ class Skin:
     brims: tuple[Brim | Apex, Brim | Apex] | None  # None: it closes in v
     laid: Laid
     stations: Stations
-    moments: Moments
     fit: TensorFit
+
+    @property
+    def moments(self) -> Moments:
+        """The cells that the surface was fitted to, those of `fit.feet`."""
+        return self.fit.moments
 
     @property
     def shape(self) -> None:
@@ -77,6 +83,23 @@ class Skin:
         )
         normals = unit_normals(first_u, first_v)
         return np.sqrt(variances_across(self.fit.inverse, net, self.fit.unknowns, at, normals))
+
+    @property
+    def apex_deviations_mm(self) -> tuple[float, float]:
+        """Posterior standard deviation of an apex's height, of either end; nan without one."""
+        net, axis = self.fit.net, self.branch.outlines[0].frame.axes[2]
+        found = [math.nan, math.nan]
+        for last in (0, 1):
+            if not net.apex[-last]:
+                continue
+            at = (
+                basis_at(np.zeros(1), net.knots_u, 0, closed=net.closed_u),
+                basis_at(np.full(1, last * net.spans[1]), net.knots_v, 0, closed=net.closed_v),
+            )
+            fit = self.fit
+            variance = variances_across(fit.inverse, net, fit.unknowns, at, axis[None])
+            found[last] = float(np.sqrt(variance[0]))
+        return found[0], found[1]
 
     def synthetic(self, u: FloatArray, v: FloatArray) -> BoolArray:
         """Whether no measured point stands near parameters of any shape."""
@@ -121,17 +144,21 @@ def skin_branch(branch: Branch, loose: Moments | None = None) -> Skin:
 
 
 def _skin(branch: Branch, stations: Stations, loose: Moments, creases: FloatArray) -> Skin:
-    """The same with known creases (k, c): wide spans first, where they may do."""
-    around, along = _spans_around(branch), _spans_along(branch)
-    spans, finer = _wide_spans(around, along)
-    if any(finer):
+    """The same with known creases (k, c): few spans to begin with, where they may do."""
+    spans = (_spans_around(branch), _spans_along(branch))
+    halvings = (
+        _halvings(spans[0], _LEAST_SPANS_U, _WIDE_SPANS_U),
+        _halvings(spans[1], _LEAST_SPANS_V, _WIDE_SPANS_V),
+    )
+    if any(halvings):
+        wide = (-(-spans[0] // 2 ** halvings[0]), -(-spans[1] // 2 ** halvings[1]))
         try:
-            laid = _between(branch, stations, creases, spans[0])
-            return _fitted(branch, laid, loose, spans, finer)
+            laid = _between(branch, stations, creases, wide[0])
+            return _fitted(branch, laid, loose, wide, halvings)
         except Unfittable:  # too wide to find the points: narrow from the beginning
             pass
-    laid = _between(branch, stations, creases, around)
-    return _fitted(branch, laid, loose, (around, along), (False, False))
+    laid = _between(branch, stations, creases, spans[0])
+    return _fitted(branch, laid, loose, spans, (0, 0))
 
 
 def _between(branch: Branch, stations: Stations, creases: FloatArray, spans: int) -> Stations:
@@ -147,21 +174,21 @@ def _fitted(
     stations: Stations,
     loose: Moments,
     spans: tuple[int, int],
-    finer: tuple[bool, bool],
+    halvings: tuple[int, int],
 ) -> Skin:
-    """A net of so many spans laid through the stations, and fitted."""
+    """A net of so many spans laid through the stations, and fitted; it may halve them."""
     outlines, brims = branch.outlines, brims_of(branch)
     spans = (stations.spans or spans[0], spans[1])
     laid = lay_net(outlines, stations, brims, spans)
-    moments = Moments.together([outline.moments for outline in outlines])
     noise = noise_of(branch)
-    u, v = laid.u, laid.v
+    cells = Cells(tuple(outline.moments for outline in outlines), laid.u, laid.v)
     if len(loose):
-        near, near_u, near_v = nearby(laid.net, loose, _REACH * math.sqrt(noise.level_mm2))
-        moments = Moments.together([moments, near])
-        u, v = np.concatenate([u, near_u]), np.concatenate([v, near_v])
-    fit = fit_net(laid.net, moments, u, v, noise, rims=_rims(brims), finer=finer)
-    return Skin(branch, brims, laid, stations, moments, fit)
+        near, u, v = nearby(laid.net, loose, _REACH * math.sqrt(noise.level_mm2))
+        cells = Cells(
+            (*cells.parts, near), np.concatenate([cells.u, u]), np.concatenate([cells.v, v])
+        )
+    fit = fit_net(laid.net, cells, noise, rims=_rims(brims), halvings=halvings)
+    return Skin(branch, brims, laid, stations, fit)
 
 
 def _dear(skin: Skin) -> float:
@@ -209,7 +236,7 @@ def _standing_out(stations: Stations, *, cyclic: bool) -> int | None:
 def _spans_around(branch: Branch) -> int:
     """Spans enough for the liveliest of the outlines; the stiffness does the rest."""
     edf = float(np.quantile([outline.fitted.edf for outline in branch.outlines], 0.9))
-    return int(min(max(_SPANS_A_FREEDOM * edf + _MORE_SPANS, _LEAST_SPANS_U), _MOST_SPANS))
+    return int(min(max(_SPANS_A_FREEDOM * edf + _MORE_SPANS, _ROUND_SPANS), _MOST_SPANS))
 
 
 def _spans_along(branch: Branch) -> int:
@@ -221,13 +248,12 @@ def _spans_along(branch: Branch) -> int:
     return int(min(max(0.75 * len(branch.outlines), _LEAST_SPANS_V), _MOST_SPANS_V))
 
 
-def _wide_spans(around: int, along: int) -> tuple[tuple[int, int], tuple[bool, bool]]:
-    """Spans to begin with, and whether they may be halved: half as many, if that is enough."""
-    finer = (around >= 2 * _LEAST_SPANS_U, along >= 2 * _LEAST_SPANS_V)
-    return (
-        -(-around // 2) if finer[0] else around,
-        -(-along // 2) if finer[1] else along,
-    ), finer
+def _halvings(spans: int, least: int, wide: int) -> int:
+    """How often spans to begin with are doubled: at least once, if that leaves enough of them."""
+    times = 0
+    while spans >= 2 ** (times + 1) * least and (times == 0 or spans > 2**times * wide):
+        times += 1
+    return times
 
 
 def brims_of(branch: Branch) -> tuple[Brim | Apex, Brim | Apex] | None:

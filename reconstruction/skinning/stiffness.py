@@ -32,13 +32,10 @@ class Lattice:
     ties: FloatArray  # (stations, stations)
 
     @staticmethod
-    def over(net: Net, finer: tuple[bool, bool] = (False, False)) -> Lattice:
-        """Stations for a net, some spans apart: of those that it may have once it is finer."""
+    def over(net: Net, halvings: tuple[int, int] = (0, 0)) -> Lattice:
+        """Stations for a net, some spans apart: of those that it has once they are halved."""
         end_u, end_v = net.spans
-        shape = (
-            _count(2.0 * end_u if finer[0] else end_u),
-            _count(2.0 * end_v if finer[1] else end_v),
-        )
+        shape = (_count(end_u * 2.0 ** halvings[0]), _count(end_v * 2.0 ** halvings[1]))
         closed = (net.closed_u, net.closed_v)
         ties = np.kron(_walk(shape[0], closed=closed[0]), np.eye(shape[1]))
         ties += np.kron(np.eye(shape[0]), _walk(shape[1], closed=closed[1]))

@@ -12,11 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from reconstruction.arrays import FloatArray
 from reconstruction.fitting.curve import Exact
 from reconstruction.meshing import Mesh
+from reconstruction.skinning.beyond import seen_beyond
 from reconstruction.skinning.branch import Branch
 from reconstruction.skinning.branching import Branching, find_branches
-from reconstruction.skinning.closing import closed_mesh
+from reconstruction.skinning.closing import affordable_mm, closed_mesh
 from reconstruction.skinning.drawing import SliceOutlines
 from reconstruction.skinning.exact_ends import Levels
 from reconstruction.skinning.exact_shapes import Shape
@@ -30,6 +32,7 @@ from reconstruction.skinning.joining import join_solids
 from reconstruction.skinning.outlines import Moments, Outline, lifted
 from reconstruction.skinning.primitives import Cone, Cylinder
 from reconstruction.skinning.skin import skin_branch
+from reconstruction.skinning.standing_in import Nurbs, part_of
 
 _THICK = 2.0  # times the usual scatter
 _CHORD = 0.05  # of the scatter of the points: what a facet may stand off the surface
@@ -47,11 +50,17 @@ class Skinned:
     skins: tuple[AnySkin, ...]  # one a branch, from the outside in
     mesh: Mesh  # watertight
     tolerance_mm: float  # between mesh and surfaces
+    wrapping: str = ""  # why the mesh is not that of the skins, but one around all points
+
+    @property
+    def shown(self) -> tuple[AnySkin, ...]:
+        """The skins whose surfaces are the part: none where a mesh stands in for them."""
+        return () if self.wrapping else self.skins
 
     @property
     def shapes(self) -> tuple[Shape | None, ...]:
-        """The exact shape of every branch; None where its surface is a free one."""
-        return tuple(skin.shape for skin in self.skins)
+        """The exact shape of every shown skin; None where its surface is a free one."""
+        return tuple(skin.shape for skin in self.shown)
 
 
 def skin_slices(
@@ -59,6 +68,7 @@ def skin_slices(
     *,
     tolerance_mm: float | None = None,
     exact: Exact = Exact.AUTO,
+    nurbs: Nurbs = Nurbs.AUTO,
 ) -> Skinned:
     """Fit, close and join the surfaces of slices, given in any order.
 
@@ -69,6 +79,8 @@ def skin_slices(
         surface is exact.
     exact
         Whether a branch whose points are one exact shape is given its surface.
+    nurbs
+        Whether a mesh may stand in for surfaces that do not follow the points.
 
     Raises
     ------
@@ -87,24 +99,36 @@ def skin_slices(
     loose = _loose(stack, branching, thick.values())
     heaps = [doubt and not held for doubt, held in zip(unresolved, outlines, strict=True)]
     levels = Levels(heights, np.array(heaps))
-    skins = tuple(_skin(branch, loose, levels, exact) for branch in fold(branching.branches))
-    chords = [tolerance_mm or _chord(skin, skins) for skin in skins]
-    within = max(chords)
+    skins = tuple(_skin(branch, loose, levels, stack, exact) for branch in fold(branching.branches))
+    chords = [tolerance_mm or affordable_mm(skin, _chord(skin, skins)) for skin in skins]
+    mesh = _united(skins, chords, stack[0].frame.axes[2])
+    instead = ""
+    if nurbs is Nurbs.AUTO:
+        mesh, instead = part_of(mesh, skins, branching.joints, stack)
+    return Skinned(branching, skins, mesh, max(chords), instead)
+
+
+def _united(skins: Sequence[AnySkin], chords: Sequence[float], axis: FloatArray) -> Mesh:
+    """One closed mesh of all branches."""
     parts = [closed_mesh(skin, chord) for skin, chord in zip(skins, chords, strict=True)]
     holes = [skin.branch.hole for skin in skins]
-    axis = stack[0].frame.axes[2]
-    mesh = join_solids(parts, holes, within_mm=_SLIVER * min(chords), normal=axis)
-    return Skinned(branching, skins, mesh, within)
+    if len(parts) == 1 and not holes[0]:  # closed already, without the slivers that unions leave
+        return parts[0]
+    return join_solids(parts, holes, within_mm=_SLIVER * min(chords), normal=axis)
 
 
-def _skin(branch: Branch, loose: Moments | None, levels: Levels, exact: Exact) -> AnySkin:
-    if exact is Exact.NEVER:
-        return skin_branch(branch, loose)
-    found = exact_skin(branch, loose, levels)
+def _skin(
+    branch: Branch,
+    loose: Moments | None,
+    levels: Levels,
+    stack: Sequence[SliceOutlines],
+    exact: Exact,
+) -> AnySkin:
+    found = None if exact is Exact.NEVER else exact_skin(branch, loose, levels)
     if found is not None:
         return found
-    free = skin_branch(branch, loose)
-    return exact_in_place_of(free, levels) or free
+    free = skin_branch(seen_beyond(branch, stack), loose)
+    return free if exact is Exact.NEVER else exact_in_place_of(free, levels) or free
 
 
 def _thick(stack: Sequence[SliceOutlines]) -> dict[int, Outline]:

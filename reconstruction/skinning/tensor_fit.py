@@ -23,27 +23,34 @@ from threadpoolctl import threadpool_limits
 
 from reconstruction.arrays import FloatArray, frozen
 from reconstruction.errors import Unfittable
+from reconstruction.skinning.bending import stiffness_rows
 from reconstruction.skinning.blocks import Blocks, Factor, inverse_blocks
 from reconstruction.skinning.feet import Feet
 from reconstruction.skinning.laying import relaid
+from reconstruction.skinning.merging import Cells, merged_for, moved_along
 from reconstruction.skinning.net import Net
 from reconstruction.skinning.noise import Noise
 from reconstruction.skinning.outlines import Moments
 from reconstruction.skinning.refining import refined
 from reconstruction.skinning.rounds import Manner, Rim, Round, State, do_round
 from reconstruction.skinning.stiffness import Lattice
-from reconstruction.skinning.unknowns import Unknowns
+from reconstruction.skinning.unknowns import Unknowns, unknowns_of
 
 _ROUNDS = 25
 _ASTRAY = 4.0  # times the first round's scatter: the fit has lost its points
 _RELAID = (2, 4)  # rounds after which v is made to run evenly again
-_LEARNT = (0.25, 1e-3)  # log likelihood, and of it a degree of freedom: less is not worth a round
+_LEARNT = (0.25, 2e-3)  # log likelihood, and of it a degree of freedom: less is not worth a round
 _WIDE_LEARNT = 1e-2  # the same of a net whose spans will be halved
+_RESTING, _STIRRED = 0.05, 4.0  # of a degree of freedom; times what the calmest round has gained
 _STILL = 0.05  # standard deviations: a surface that moves less stands still
 _CALMING = 4  # rounds at most once nothing is learnt
-_LIVELY = 0.4  # of the waves that a net has: data that determine more get narrower spans
+_LIVELY = 0.6  # of the waves that a net has: data that determine more get narrower spans
+_SOFTER, _STIFFER = 9.0, 6.0  # logarithms, to begin with, than what points can just resist
+_BLIND = 0.8  # the same: a net that is so much too wide learns nothing true of the stiffness
+_NEAR = 0.5  # of the liveliness of the other direction
+_LEAST_ROUNDS = 2  # of any width
 _MODEL = 0.3  # of a point's standard deviation: what sections may be wrong by, for outliers only
-_WIDE_MODEL = 1.0  # the same while spans are wide
+_WIDE_MODEL = 2.0  # the same while spans are wide
 
 FREE = (Rim(), Rim())
 
@@ -71,6 +78,7 @@ class TensorFit:
 
     net: Net
     unknowns: Unknowns
+    moments: Moments  # the cells, merged where there were far more than the net can use
     feet: Feet
     weights: FloatArray  # (m,), robust, 0 .. 1
     noise: Noise
@@ -91,55 +99,77 @@ class TensorFit:
 
 def fit_net(
     net: Net,
-    moments: Moments,
-    u: FloatArray,
-    v: FloatArray,
+    cells: Cells,
     noise: Noise,
     *,
     rims: tuple[Rim, Rim],
-    finer: tuple[bool, bool] = (False, False),
+    halvings: tuple[int, int] = (0, 0),
 ) -> TensorFit:
     """Fit a net to cells from a surface nearby, until it is still.
 
     Parameters
     ----------
-    u, v
-        (m,), rough foot points of the cells.
+    cells
+        With rough foot points.
     rims
         Of the first and the last row.
-    finer
-        Along u and v: whether spans may be halved where the data ask for it.
+    halvings
+        Along u and v: how often spans may be halved where the data ask for it.
 
     Raises
     ------
     Unfittable
         The cells do not hold the net, or one whose spans may be halved has lost them.
     """
-    lattice = Lattice.over(net, finer)
-    usual = _usual_log_stiffness(net, moments, noise)
-    start = np.full(lattice.count, usual)
-    state = State(net, net.control_mm, u, v, noise, (start, start))
-    done = _at_rest(state, moments, lattice, rims, finer, begun=0)
+    lattice = Lattice.over(net, halvings)
+    merged = merged_for(net, cells)
+    logs = _log_stiffness(net, cells, noise)
+    starts = (np.full(lattice.count, logs[0]), np.full(lattice.count, logs[1]))
+    state = State(net, net.control_mm, merged.u, merged.v, noise, starts)
+    done = _at_rest(state, merged.moments, lattice, rims, _may(halvings), begun=0)
     if done is None:
         raise Unfittable(
-            f"{moments.total} points do not hold a surface of {net.control_mm.shape[:2]} control"
+            f"{cells.total} points do not hold a surface of {net.control_mm.shape[:2]} control"
             " points; are the slices those of one part?"
         )
-    along = _too_wide(done[0], finer)
-    if any(along):
-        lattice, state = lattice.refined(along), _refined(done[1], along)
-        done = _at_rest(state, moments, lattice, rims, (False, False), begun=done[2]) or done
+    used = merged.moments
+    while any(along := _too_wide(done[0], _may(halvings))):
+        _, state, rounds = done
+        cells = moved_along(cells, merged, state.u, state.v, state.net)
+        lattice, state = lattice.refined(along), _refined(state, along)
+        halvings = (halvings[0] - along[0], halvings[1] - along[1])
+        cells = Cells(cells.parts, cells.u * (1 + along[0]), cells.v * (1 + along[1]))
+        merged = merged_for(state.net, cells)
+        state = replace(state, u=merged.u, v=merged.v)
+        narrow = _at_rest(state, merged.moments, lattice, rims, _may(halvings), begun=rounds)
+        if narrow is None:
+            break
+        done, used = narrow, merged.moments
     found, state, rounds = done
     return TensorFit(
-        found.net, found.unknowns, found.feet, found.weights, found.noise, state.stiffness,
+        found.net, found.unknowns, used, found.feet, found.weights, found.noise, state.stiffness,
         found.edf, Posterior(found.factor, found.inverse), found.misfit, rounds,
     )  # fmt: skip
 
 
-def _usual_log_stiffness(net: Net, moments: Moments, noise: Noise) -> float:
-    """A stiffness that the points can just resist."""
+def _may(halvings: tuple[int, int]) -> tuple[bool, bool]:
+    return halvings[0] > 0, halvings[1] > 0
+
+
+def _log_stiffness(net: Net, cells: Cells, noise: Noise) -> list[float]:
+    """Along u and v, what likelihood would say of the net's own bends if half of them were free.
+
+    Not far from what the points can just resist, though: the net may be exactly round, or not yet
+    smooth.
+    """
     unknowns = net.control_mm.shape[0] * net.control_mm.shape[1]
-    return math.log(moments.total / unknowns / (noise.level_mm2 * noise.inflation))
+    usual = math.log(cells.total / unknowns / (noise.level_mm2 * noise.inflation))
+    rows = stiffness_rows(net, unknowns_of(net, (None, None)))
+    squares = [float((each.values_mm**2).mean()) for each in rows]
+    return [
+        min(max(-math.log(2.0 * max(square, 1e-300)), usual - _SOFTER), usual + _STIFFER)
+        for square in squares
+    ]
 
 
 def _at_rest(
@@ -157,9 +187,10 @@ def _at_rest(
     """
     first: tuple[Round, State, int] | None = None
     last: tuple[Round, State, int] | None = None
+    calmest: tuple[Round, State, int] | None = None
     learning, calming = True, 0
     for turn in range(begun, begun + _ROUNDS):
-        manner = Manner(learning, _WIDE_MODEL if any(finer) else _MODEL, 3 if turn == 0 else 1)
+        manner = Manner(learning, _WIDE_MODEL if any(finer) else _MODEL, 3 if turn == begun else 1)
         with threadpool_limits(1, "blas"):  # blocks are small: threads would only wait
             done = do_round(state, moments, lattice, rims, manner)
         if done is None:
@@ -172,10 +203,14 @@ def _at_rest(
         if turn in _RELAID:
             again, v = relaid(state.net, state.v)
             state = replace(state, net=again, start_mm=again.control_mm, v=v)
+        if calmest is None or found.gained <= calmest[0].gained:
+            calmest = last
+        elif _stirred(found, calmest[0]):
+            return calmest
+        if turn >= begun + _LEAST_ROUNDS and _nothing_more(found, finer):
+            break
         if turn <= _RELAID[-1]:
             continue
-        if any(_too_wide(found, finer)) and found.gained < _WIDE_LEARNT * found.edf:
-            break
         learning = learning and found.gained > _LEARNT[0] + _LEARNT[1] * found.edf
         calming += not learning
         if not learning and (found.moved < _STILL or calming > _CALMING):
@@ -183,20 +218,38 @@ def _at_rest(
     return last
 
 
+def _stirred(found: Round, calmest: Round) -> bool:
+    """Whether a stiffness that had nearly come to rest runs away, as it does on a ball."""
+    near = math.isfinite(found.gained) and calmest.gained < 1.0 + _RESTING * calmest.edf
+    return near and found.gained > _STIRRED * calmest.gained + 1.0
+
+
+def _nothing_more(found: Round, finer: tuple[bool, bool]) -> bool:
+    """Whether spans that will be halved have told what they can."""
+    if not any(_too_wide(found, finer)):
+        return False
+    lively = max(each for each, may in zip(found.lively, finer, strict=True) if may)
+    return lively > _BLIND or found.gained < _WIDE_LEARNT * found.edf
+
+
 def _too_wide(found: Round, finer: tuple[bool, bool]) -> tuple[bool, bool]:
-    """In which directions spans are to be halved, of those in which they may be."""
+    """In which directions spans are to be halved, of those in which they may be.
+
+    What is far from the liveliest direction waits: what that one lacks, the other pretends.
+    """
+    most = max((each for each, may in zip(found.lively, finer, strict=True) if may), default=0.0)
     along_u, along_v = (
-        may and lively > _LIVELY for may, lively in zip(finer, found.lively, strict=True)
+        may and lively > max(_LIVELY, _NEAR * most)
+        for may, lively in zip(finer, found.lively, strict=True)
     )
     return along_u, along_v
 
 
 def _refined(state: State, along: tuple[bool, bool]) -> State:
-    """The same surface, feet and stiffness with spans halved."""
+    """The same surface and stiffness with spans halved."""
     net = refined(state.net, along)
-    u, v = (t * 2.0 if half else t for t, half in zip((state.u, state.v), along, strict=True))
     # A row's value falls with the cube of its span; there are twice the rows, along and beside.
     fifths = [(5.0 if own else 0.0) - (1.0 if other else 0.0)
               for own, other in (along, along[::-1])]  # fmt: skip
     logs = [log + fifth * math.log(2.0) for log, fifth in zip(state.stiffness, fifths, strict=True)]
-    return replace(state, net=net, start_mm=net.control_mm, u=u, v=v, stiffness=(logs[0], logs[1]))
+    return replace(state, net=net, start_mm=net.control_mm, stiffness=(logs[0], logs[1]))

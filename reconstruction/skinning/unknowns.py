@@ -4,8 +4,12 @@ Every control point moves along one direction, the surface's normal beside it, s
 parametrisation, which the data do not determine, is not asked for. A control point on an end that
 must stay in a plane moves inside that plane. An apex moves freely: three unknowns for its row.
 
-Unknown i of row j is number ``place[j] * width + i``: rows are laid one after the other, folded
-where the net closes in v, so that what is coupled lies near together.
+Lines of the net follow one another in the system: rows along u, or columns along v, whichever costs
+less to eliminate; folded (0, -1, 1, -2 ..) in a direction that closes, so that what is coupled lies
+near together::
+
+    rows      three apart at most, six where v closes;  a block is as wide as the net around
+    columns   six apart, as u closes;                   a block is as wide as the net along
 """
 
 from __future__ import annotations
@@ -29,22 +33,23 @@ class Unknowns:
     """Directions in which the control points may move, and where they stand in the system."""
 
     directions: FloatArray  # (nu, nv, 3), unit; zero in the row of an apex
-    place: IntArray  # (nv,), of each net row in the system's order
-    reach: int  # places apart that coupled rows may be
+    numbers: IntArray  # (nu, nv); an apex has the first three of its row
+    width: int  # unknowns a line
+    reach: int  # lines apart that coupled ones may be
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "directions", frozen(self.directions))
-        object.__setattr__(self, "place", frozen(self.place, np.int64))
+        object.__setattr__(self, "numbers", frozen(self.numbers, np.int64))
 
     @property
-    def width(self) -> int:
-        """Unknowns a net row."""
-        return int(self.directions.shape[0])
+    def lines(self) -> int:
+        """How many lines there are."""
+        return int(self.numbers.size // self.width)
 
     @property
     def count(self) -> int:
         """Places in the system, those that an apex leaves unused too."""
-        return self.width * len(self.place)
+        return int(self.numbers.size)
 
 
 def unknowns_of(net: Net, level: tuple[FloatArray | None, FloatArray | None]) -> Unknowns:
@@ -67,12 +72,33 @@ def unknowns_of(net: Net, level: tuple[FloatArray | None, FloatArray | None]) ->
             lengths = np.linalg.norm(flat, axis=1, keepdims=True)
             directions[:, row] = flat / np.maximum(lengths, 1e-300)
     directions[:, net.apex] = 0.0
-    if not net.closed_v:
-        return Unknowns(directions, np.arange(count_v), _REACH)
+    return Unknowns(directions, *_numbered(net))
+
+
+def _numbered(net: Net) -> tuple[IntArray, int, int]:
+    """Numbers of the control points, the width of a line, and how far lines reach."""
+    count_u, count_v = net.control_mm.shape[:2]
+    place_u, reach_u = _placed(count_u, closed=net.closed_u)
+    place_v, reach_v = _placed(count_v, closed=net.closed_v)
+    # An apex is a neighbour of its whole row: there lines have to be rows.
+    if not net.apex.any() and _cost(count_u, count_v, reach_u) < _cost(count_v, count_u, reach_v):
+        return place_u[:, None] * count_v + np.arange(count_v), count_v, reach_u
+    return place_v * count_u + np.arange(count_u)[:, None], count_u, reach_v
+
+
+def _placed(count: int, *, closed: bool) -> tuple[IntArray, int]:
+    """The place of each line in the system's order, and how far apart coupled ones may be."""
+    order = np.arange(count)
+    if not closed:
+        return order, _REACH
     # 0, 1, 2 .. and -1, -2 .. in turn: what meets across the seam lies together.
-    order = np.arange(count_v)
-    place = np.where(order < (count_v + 1) // 2, 2 * order, 2 * (count_v - 1 - order) + 1)
-    return Unknowns(directions, place, _FOLDED_REACH)
+    folded = np.where(order < (count + 1) // 2, 2 * order, 2 * (count - 1 - order) + 1)
+    return folded, _FOLDED_REACH
+
+
+def _cost(lines: int, width: int, reach: int) -> int:
+    """Of a factorisation, about."""
+    return lines * width**3 * (reach + 1) ** 2
 
 
 def grevilles(net: Net) -> tuple[FloatArray, FloatArray]:
@@ -92,15 +118,11 @@ def grevilles(net: Net) -> tuple[FloatArray, FloatArray]:
 
 def applied(net: Net, unknowns: Unknowns, moves: FloatArray) -> FloatArray:
     """Control points (nu, nv, 3) after moves of the unknowns, flat."""
-    width, count_v = unknowns.width, len(unknowns.place)
-    numbers = unknowns.place[None, :] * width + np.arange(width)[:, None]
-    control = net.control_mm + moves[numbers][:, :, None] * unknowns.directions
-    for j in range(count_v):
-        if net.apex[j]:
-            start = unknowns.place[j] * width
-            control[:, j] = net.control_mm[:, j] + moves[start : start + APEX]
+    control = net.control_mm + moves[unknowns.numbers][:, :, None] * unknowns.directions
+    for j in np.flatnonzero(net.apex):
+        control[:, j] = net.control_mm[:, j] + moves[unknowns.numbers[:APEX, j]]
     if len(net.creases):
-        return joined(net, control, moves[numbers], unknowns.directions)
+        return joined(net, control, moves[unknowns.numbers], unknowns.directions)
     return np.asarray(control)
 
 

@@ -51,7 +51,7 @@ def variances_across(
     order = np.argsort(at_v.first * len(unknowns.directions) + at_u.first)
     return np.asarray(
         _variances_at(
-            inverse.panels, unknowns.directions, unknowns.place, net.apex,
+            inverse.panels, unknowns.directions, unknowns.numbers, net.apex,
             at_u.first, at_u.values[:, 0], at_v.first, at_v.values[:, 0], normals, order,
         )
     )  # fmt: skip
@@ -59,7 +59,7 @@ def variances_across(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _variances_at(
-    panels: FloatArray, directions: FloatArray, place: IntArray,
+    panels: FloatArray, directions: FloatArray, number: IntArray,
     apex: BoolArray, first_u: IntArray, values_u: FloatArray, first_v: IntArray,
     values_v: FloatArray, normals: FloatArray, order: IntArray,
 ) -> FloatArray:  # fmt: skip
@@ -68,7 +68,7 @@ def _variances_at(
     out = np.zeros(len(normals))
     for m in order:
         held = row_at(
-            directions, place, apex, first_u[m], values_u[m], first_v[m], values_v[m],
+            directions, number, apex, first_u[m], values_u[m], first_v[m], values_v[m],
             normals[m], numbers, slopes,
         )  # fmt: skip
         total = 0.0

@@ -19,6 +19,7 @@ from reconstruction.errors import NotLoftable, TooFewPoints
 from reconstruction.exporting import read_sections_json, read_step, read_surface_json
 from reconstruction.fit_pipeline import FittedReconstruction
 from reconstruction.nurbs.surface_evaluation import evaluate_surface_at
+from reconstruction.skinning import surfacing
 from reconstruction.slices import Frame, Slice
 
 SIGMA_MM = 0.05
@@ -131,6 +132,26 @@ def test_programs_that_read_no_step_get_an_iges_file_when_asked_for(
     assert not (folder / "surface.step").exists()
     usual = made.save(tmp_path / "usual")
     assert not (usual / "surface.igs").exists()
+
+
+def test_a_mesh_that_stands_in_is_said_and_leaves_no_surfaces_but_a_solid_of_facets(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(surfacing, "part_of", lambda mesh, *_: (mesh, "a mesh stands in"))
+    result = reconstruct(stack(), method="fit")
+    assert "a mesh stands in" in result.warnings
+    assert result.reconstruction.patches == ()
+    assert result.metrics["shapes"] == []
+    remarks: list[str] = []
+    folder = result.save(tmp_path / "out", remark=remarks.append)
+    assert read_surface_json(folder / "surface.json") == ()
+    step = (folder / "surface.step").read_text()
+    assert len(re.findall("MANIFOLD_SOLID_BREP", step)) == 1
+    assert "B_SPLINE_SURFACE" not in step
+    assert any("planar facets of the mesh, none of NURBS surfaces" in words for words in remarks)
+    kept = reconstruct(stack(), method="fit", nurbs="always")
+    assert len(kept.reconstruction.patches) == 1
+    assert "a mesh stands in" not in kept.warnings
 
 
 def test_slices_that_come_one_by_one_give_sections_a_growing_mesh_and_the_same_surface(

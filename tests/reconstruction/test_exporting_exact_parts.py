@@ -18,35 +18,11 @@ from reconstruction.exporting import (
 from reconstruction.nurbs import evaluate_surface
 from reconstruction.skinning.surfacing import Skinned, skin_slices
 from tests.reconstruction.cad_samples import PROVENANCE
-from tests.reconstruction.exact_parts import (
-    HEIGHTS,
-    bored,
-    conical,
-    empty,
-    leaning,
-    legs,
-    pieces,
-    steady,
-)
+from tests.reconstruction.exact_parts import PARTS, pieces, steady
 
 pytest.importorskip("OCP.Geom", reason="needs the extra cad")
 
 from tests.reconstruction.test_exporting_solids import is_valid, read_shape, volume_of
-
-PARTS = {
-    "cylinder": (lambda: pieces(steady(20.0)), ["cylinder"]),
-    "leaning cylinder": (lambda: leaning(0.3, 12.0), ["cylinder"]),
-    "cone with its apex": (
-        lambda: [*pieces(conical, heights=np.append(HEIGHTS[:23], 34.8)), empty(25, 36.3)],
-        ["cone"],
-    ),
-    "vase": (
-        lambda: pieces(lambda turn, z: 20.0 + 2.0 * np.sin(z / 6.0) + 0.0 * turn),
-        ["revolution"],
-    ),
-    "cylinder with a bore": (bored, ["cylinder", "cylinder"]),
-    "two legs": (legs, ["cylinder", "cylinder", "cylinder"]),
-}
 
 
 def mesh_volume(found: Skinned) -> float:

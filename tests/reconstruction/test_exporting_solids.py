@@ -24,6 +24,7 @@ from reconstruction.exporting import (
     write_step_solid,
     write_threedm,
 )
+from reconstruction.meshing import Mesh
 from reconstruction.nurbs import Surface, clamped_uniform
 from reconstruction.skinning.surfacing import skin_slices
 from reconstruction.slices import Frame, Slice
@@ -376,3 +377,66 @@ def test_the_skin_of_a_tube_with_a_bore_is_one_solid_of_its_meshs_volume(tmp_pat
     shape = read_shape(tmp_path / "a.step")
     assert is_valid(shape)
     assert volume_of(shape) == pytest.approx(mesh.volume, rel=1e-3)
+
+
+# --- facets, where the surfaces are no solid ------------------------------------------------------
+
+
+def crossed_tube() -> Surface:
+    """A tube whose outline is a figure of eight: it crosses itself all the way up."""
+    surface = tube_net().surface()
+    points = np.array(surface.control_points_mm)
+    turn = np.arange(len(points)) / len(points) * math.tau
+    points[..., 0], points[..., 1] = (10 * np.cos(turn))[:, None], (8 * np.sin(2 * turn))[:, None]
+    return replace(surface, control_points_mm=points)
+
+
+def as_mesh(solid: trimesh.Trimesh) -> Mesh:
+    vertices = np.array(solid.vertices)
+    return Mesh(vertices, np.array(solid.faces, dtype=np.int64), np.zeros(len(vertices), bool))
+
+
+@pytest.mark.parametrize(
+    ("solid", "faces_at_most"),
+    [
+        (trimesh.creation.torus(20.0, 6.0, major_sections=90, minor_sections=40), 8_000),
+        (trimesh.creation.icosphere(subdivisions=5, radius=9.0), 12_000),  # of 20 480
+    ],
+)
+def test_surfaces_that_cross_themselves_become_a_valid_solid_of_facets(
+    solid, faces_at_most: int, tmp_path: Path
+) -> None:
+    found = save(
+        tmp_path / "a.step", [Body(crossed_tube())], volume_mm3=solid.volume, mesh=as_mesh(solid)
+    )
+    assert found.closed
+    assert found.reasons != ()
+    assert 0 < found.facets <= faces_at_most
+    shape = read_shape(tmp_path / "a.step")
+    assert count_of(shape, "SOLID") == 1
+    assert count_of(shape, "FACE") == found.facets
+    assert is_valid(shape)
+    assert volume_of(shape) == pytest.approx(solid.volume, rel=1e-3)
+    assert "OPEN_SHELL" not in plain_text(tmp_path / "a.step")
+
+
+def test_a_cavity_of_facets_is_a_void_of_the_solid_around_it(tmp_path: Path) -> None:
+    outer, inner = (trimesh.creation.icosphere(subdivisions=2, radius=r) for r in (9.0, 4.0))
+    inner.invert()
+    hollow = trimesh.util.concatenate([outer, inner])
+    volume = outer.volume + inner.volume
+    mesh = as_mesh(hollow)
+    found = save(tmp_path / "a.step", [Body(crossed_tube())], volume_mm3=volume, mesh=mesh)
+    assert (found.solids, found.facets) == (1, len(hollow.faces))
+    shape = read_shape(tmp_path / "a.step")
+    assert is_valid(shape)
+    assert volume_of(shape) == pytest.approx(volume, rel=1e-3)
+
+
+def test_an_open_mesh_makes_no_solid_and_both_reasons_are_said(tmp_path: Path) -> None:
+    sphere = trimesh.creation.icosphere(subdivisions=2, radius=9.0)
+    sphere.update_faces(np.arange(len(sphere.faces)) > 0)
+    mesh = as_mesh(sphere)
+    found = save(tmp_path / "a.step", [Body(crossed_tube())], volume_mm3=3000.0, mesh=mesh)
+    assert (found.closed, found.facets, len(found.reasons)) == (False, 0, 2)
+    assert "OPEN_SHELL" in plain_text(tmp_path / "a.step")

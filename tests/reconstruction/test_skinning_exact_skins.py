@@ -14,10 +14,10 @@ from reconstruction.meshing import Mesh
 from reconstruction.nurbs import evaluate_surface, evaluate_surface_at
 from reconstruction.skinning import surfacing
 from reconstruction.skinning.apexes import tips_of
-from reconstruction.skinning.branch import Branch
+from reconstruction.skinning.branch import Branch, End, Ending
 from reconstruction.skinning.ends import Apex, Brim
 from reconstruction.skinning.exact_ends import Levels
-from reconstruction.skinning.exact_skins import AnySkin, ExactSkin
+from reconstruction.skinning.exact_skins import AnySkin, ExactSkin, exact_skin
 from reconstruction.skinning.outlines import Moments
 from reconstruction.skinning.primitives import Cone, Cylinder, Sphere
 from reconstruction.skinning.skin import Skin, skin_branch
@@ -125,6 +125,14 @@ def test_where_a_cylinder_is_certain_no_free_surface_is_fitted(
 
     monkeypatch.setattr(surfacing, "skin_branch", refuse)
     assert exact(skin_slices(pieces(steady(20.0)))).shape.kind == "cylinder"
+
+
+def test_the_outline_of_one_slice_is_no_plane() -> None:
+    """All its points lie in one plane, exactly; a feature of one slice is such a branch."""
+    (piece,) = pieces(steady(20.0), heights=HEIGHTS[:1])
+    ends = (End(Ending.UNSEEN, LOW), End(Ending.UNSEEN, STEP))
+    branch = Branch(piece.outlines, cyclic=False, ends=ends, hole=False)
+    assert exact_skin(branch, None, Levels(HEIGHTS[:1], np.zeros(1, np.bool_))) is None
 
 
 def test_never_keeps_a_cylinder_free() -> None:

@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from reconstruction.nurbs import evaluate_surface_at, surface_derivatives
+from reconstruction.nurbs import basis_derivatives, evaluate_surface_at, surface_derivatives
 from reconstruction.skinning.assembly import add_data, add_stiffness, empty_system
 from reconstruction.skinning.bending import row_values, stiffness_rows
 from reconstruction.skinning.blocks import Blocks, factorise, inverse_blocks
 from reconstruction.skinning.feet import find_feet
-from reconstruction.skinning.net import Net, basis_at, derivatives_at
+from reconstruction.skinning.net import Net, basis_at, derivatives_at, knots_of
 from reconstruction.skinning.noise import Noise
 from reconstruction.skinning.outlines import Moments
 from reconstruction.skinning.refining import refined
@@ -20,7 +20,12 @@ from reconstruction.skinning.unknowns import Unknowns, applied, unknowns_of
 from reconstruction.skinning.variances import row_variances, variances_across
 from tests.reconstruction.skinning_parts import torus_net, tube_net
 
-NETS = {"tube": tube_net(), "tip": tube_net(apex=True), "torus": torus_net()}
+NETS = {
+    "tube": tube_net(),
+    "short": tube_net(spans=(40, 4)),  # lines are columns
+    "tip": tube_net(apex=True),
+    "torus": torus_net(),
+}
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -224,3 +229,15 @@ def test_spans_are_halved_without_changing_the_surface(name: str, along: tuple[b
     after = evaluate_surface_at(fine.surface(), u * (1 + along[0]), v * (1 + along[1]))
     assert after == pytest.approx(before, abs=1e-11)
     assert fine.apex.sum() == net.apex.sum()
+
+
+@pytest.mark.parametrize("spans", [6, 13])
+@pytest.mark.parametrize("creases", [[], [2, 5]])
+def test_cubics_on_integer_knots_are_those_of_any_knots(spans: int, creases: list[int]) -> None:
+    for closed in (False, True):
+        knots = knots_of(spans, closed=closed, creases=np.array(creases, dtype=np.int64))
+        t = np.append(np.random.default_rng(9).uniform(0.0, spans, 200), np.arange(spans + 1.0))
+        found = basis_at(t, knots, 2, closed=closed)
+        first, values = basis_derivatives(t, 3, knots, 2, periodic=closed)
+        assert (found.first == first - 3).all()
+        assert found.values == pytest.approx(np.moveaxis(values, 0, 1), abs=1e-13)

@@ -180,6 +180,11 @@ def test_a_plausible_size_is_no_warning(place: Path, cloud: str, without_picture
         (["--axis", "w"], "--axis 'w': one of x, y, z expected"),
         (["--method", "spline"], "--method 'spline': one of fit, paper expected"),
         (
+            ["--method", "paper", "--nurbs", "always"],
+            "--nurbs: means nothing to --method paper; leave it out, or choose --method fit",
+        ),
+        (["--nurbs", "no"], "--nurbs 'no': one of auto, always expected"),
+        (
             ["--method", "paper", "--exact", "never"],
             "--exact: means nothing to --method paper; leave it out, or choose --method fit",
         ),
