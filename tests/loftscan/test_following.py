@@ -164,11 +164,11 @@ def test_a_fit_is_closed_and_upright_whichever_way_the_stage_goes() -> None:
         assert ends.max() == pytest.approx(heights.max() + STEP_MM / 2, abs=0.01)
 
 
-@pytest.mark.xfail(strict=True, reason="a fit smooths ten slices 4 mm apart: 0.5 % too large")
-def test_the_body_of_a_fit_is_that_of_the_part() -> None:
+def test_the_body_of_a_fit_is_that_of_the_part_itself() -> None:
+    # Not that of outlines joined by straight lines, which is 0.26 % smaller: a vase is bellied.
     for each, heights in bodies(Settings()):
         low, high = heights.min() - STEP_MM / 2, heights.max() + STEP_MM / 2
-        body_mm3 = volume_mm3(np.concatenate([[low], np.sort(heights), [high]]))
+        body_mm3 = volume_mm3(np.linspace(low, high, 1001))
         assert each.metrics["volume_mm3"] == pytest.approx(body_mm3, rel=0.001)
 
 

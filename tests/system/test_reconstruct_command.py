@@ -332,7 +332,6 @@ def test_a_crop_is_the_body_inside_it(place: Path, saved: Saved, without_picture
     assert bounds == pytest.approx([18.0, 28.0])
 
 
-@pytest.mark.xfail(strict=True, reason="the fit of six round rows is 2.4 % too large")
 def test_a_crop_is_the_body_inside_it_and_half_a_row_beyond(
     place: Path, saved: Saved, without_pictures: None
 ) -> None:
