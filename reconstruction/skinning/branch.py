@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
@@ -46,6 +47,7 @@ class Branch:
     cyclic: bool  # the last outline is followed by the first
     ends: tuple[End, End] | None  # None: cyclic
     hole: bool  # it bounds a cavity: material lies outside
+    pitch_mm: float = math.inf  # usual way from slice to slice of the stack, if it is known
 
 
 @dataclass(frozen=True, slots=True)

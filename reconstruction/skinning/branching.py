@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from reconstruction.arrays import BoolArray
@@ -182,7 +183,9 @@ def _outside_in(loops: Loops, chains: Sequence[Chain]) -> list[Chain]:
 def _branch(loops: Loops, chain: Chain) -> Branch:
     outlines = tuple(loops.outlines[each] for each in chain.loops)
     outermost = min(chain.loops, key=lambda each: int(loops.depths[each]))
-    return Branch(outlines, chain.ends is None, chain.ends, loops.outlines[outermost].hole)
+    pitch_mm = float(np.median(np.diff(loops.stack.heights_mm)))
+    hole = loops.outlines[outermost].hole
+    return Branch(outlines, chain.ends is None, chain.ends, hole, pitch_mm)
 
 
 def _joints(

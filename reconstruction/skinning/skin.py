@@ -9,7 +9,7 @@ import numpy as np
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
 from reconstruction.errors import Unfittable
-from reconstruction.nurbs import Surface, points_and_tangents_at
+from reconstruction.nurbs import Surface, evaluate_surface_at, points_and_tangents_at
 from reconstruction.skinning.aligning import Stations, align, align_between
 from reconstruction.skinning.branch import Branch
 from reconstruction.skinning.creases import find_creases
@@ -22,6 +22,7 @@ from reconstruction.skinning.noise import Noise
 from reconstruction.skinning.outlines import Moments
 from reconstruction.skinning.rounds import Rim
 from reconstruction.skinning.tensor_fit import FREE, TensorFit, fit_net
+from reconstruction.skinning.unseen import lies_in, unseen_bands
 from reconstruction.skinning.variances import variances_across
 
 _SPANS_A_FREEDOM = 2.5
@@ -107,7 +108,10 @@ class Skin:
         end_u, end_v = self.fit.net.spans
         column = np.minimum((u / end_u * counts.shape[0]).astype(np.int64), counts.shape[0] - 1)
         row = np.minimum((v / end_v * counts.shape[1]).astype(np.int64), counts.shape[1] - 1)
-        return np.asarray(counts[column, row] == 0)
+        places = evaluate_surface_at(self.surface, np.ravel(u), np.ravel(v))
+        heights = (places @ self.branch.outlines[0].frame.axes[2]).reshape(np.shape(u))
+        missing = lies_in(heights, unseen_bands(self.branch, self.moments))
+        return np.asarray((counts[column, row] == 0) | missing)
 
     @property
     def support(self) -> IntArray:

@@ -306,16 +306,7 @@ def test_a_damaged_slice_is_left_out_named_and_counted(path: Path) -> None:
     assert "--out vase.scan --resume` takes what is damaged again" in warning
 
 
-@pytest.mark.parametrize(
-    "method",
-    [
-        "paper",
-        pytest.param(
-            "fit",
-            marks=pytest.mark.xfail(strict=True, reason="a fit marks no vertex of a missing slice"),
-        ),
-    ],
-)
+@pytest.mark.parametrize("method", ["fit", "paper"])
 def test_the_mesh_of_a_damaged_slice_stands_on_no_measured_point(path: Path, method: str) -> None:
     damage(write_scan(path), 4)
     found = reconstruct(path, method=method)
