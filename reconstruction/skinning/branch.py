@@ -52,8 +52,13 @@ class Branch:
 
 @dataclass(frozen=True, slots=True)
 class Joint:
-    """Branches that meet in a plane between two slices."""
+    """Branches, by number, that meet in a plane between two slices."""
 
     height_mm: float
     below: tuple[int, ...]
     above: tuple[int, ...]
+
+    @property
+    def shoulder(self) -> bool:
+        """Whether one contour goes on in one other, but steps abruptly."""
+        return len(self.below) == len(self.above) == 1

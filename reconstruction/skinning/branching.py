@@ -35,9 +35,10 @@ from reconstruction.skinning.doubts import (
 )
 from reconstruction.skinning.loops import AROUND, Loops, loops_of
 from reconstruction.skinning.outlines import Outline
+from reconstruction.skinning.shoulders import part_at_shoulders
 from reconstruction.skinning.slabs import Event, Slab
 from reconstruction.skinning.stack import stack_up
-from reconstruction.skinning.threads import Chain, chains_of, tie_threads
+from reconstruction.skinning.threads import Chain, chains_of, part_deep_folds, tie_threads
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,6 +114,8 @@ def find_branches(
     slabs = _without(slabs, seen_once(loops, slabs, doubts))
     _require(loops, slabs)
     threads = tie_threads(loops, slabs)
+    part_at_shoulders(threads, loops)
+    part_deep_folds(threads, loops)
     chains = [
         _straightened(loops, each, crossing[:, 0], doubts) for each in chains_of(threads, loops)
     ]
