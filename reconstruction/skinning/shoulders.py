@@ -22,11 +22,12 @@ from reconstruction.distances import polygon_distances
 from reconstruction.skinning.loops import Loops
 from reconstruction.skinning.threads import DOWN, UP, Side, Threads, chains_of
 
-_ABRUPT = 4.0  # times the steepest of the steps beside it, of a wall as steep all the way
+_ABRUPT = 4.0  # times what a wall as steep as beside it would step
 _CLEAR = 6.0  # standard deviations of a point
+_LEVEL = 1e-300
 _NEARLY_ALL = 0.9  # of a contour: beside a shoulder so much of it is calm ...
 _MOST = 0.75  # ... and at one so much of it steps; features of one side are no shoulders
-_BESIDE = 2  # steps looked at on either side
+_APART = 4  # slices, on average: where every other one steps, a slope was recorded in terraces
 
 
 def part_at_shoulders(threads: Threads, loops: Loops) -> None:
@@ -46,25 +47,17 @@ def _shoulders(loops: Loops, chain: Sequence[int]) -> list[tuple[int, int]]:
     """Contours that follow each other, but not smoothly."""
     rises = np.abs(np.diff(loops.heights_mm[list(chain)]))
     least, most = np.array([_steps(loops, a, b) for a, b in pairwise(chain)]).reshape(-1, 2).T
+    slopes = most / np.maximum(rises, _LEVEL)
     sigmas = [loops.outlines[each].fitted.sigma_mm for each in chain]
-    found = []
-    for k in range(len(rises)):
+    clear = [_CLEAR * max(pair) for pair in pairwise(sigmas)]
+    found = [
+        (chain[k], chain[k + 1])
+        for k in range(1, len(rises) - 1)
         # A fold rises by nothing: what lies beyond it is another wall.
-        before, after = _leading(rises[:k][::-1]), _leading(rises[k + 1 :])
-        if not (rises[k] > 0.0 and before and after):
-            continue
-        beside = [*range(k - before, k), *range(k + 1, k + 1 + after)]
-        usual = float((most[beside] / rises[beside]).max()) * rises[k]
-        clear = _CLEAR * max(sigmas[k], sigmas[k + 1])
-        if least[k] > max(_ABRUPT * usual, clear):
-            found.append((chain[k], chain[k + 1]))
-    return found
-
-
-def _leading(rises: FloatArray) -> int:
-    """How many of the steps next to one are there to compare it with."""
-    folds = np.flatnonzero(rises == 0.0)
-    return min(_BESIDE, int(folds[0]) if len(folds) else len(rises))
+        if rises[k - 1 : k + 2].all()
+        and least[k] > max(_ABRUPT * rises[k] * max(slopes[[k - 1, k + 1]]), clear[k])
+    ]
+    return found if _APART * len(found) <= len(chain) else []
 
 
 def _steps(loops: Loops, one: int, other: int) -> tuple[float, float]:
