@@ -17,7 +17,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from reconstruction.arrays import FloatArray
 from reconstruction.distances import polygon_distances
 from reconstruction.skinning.loops import Loops
 from reconstruction.skinning.threads import DOWN, UP, Side, Threads, chains_of

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +16,8 @@ from loftscan.methods import AnyReconstruction
 from loftscan.result import Result
 from loftscan.sliced import Sliced
 from loftscan.spans import spans
+from loftscan.surface_findings import judge_surface
+from reconstruction.cleanup import CleanupSettings
 from reconstruction.sections import Section, Skipped
 from reconstruction.setting_aside import Aside
 from tests.system.command_cases import NOISE_MM, ROW_MM, FloatArray
@@ -56,17 +57,23 @@ def test_a_clean_scan_is_not_remarked_upon(paper_result: Result) -> None:
 def test_of_a_fit_only_shadows_and_ends_and_the_shoulder_are_remarked_upon(
     part_result: Result,
 ) -> None:
-    assert part_result.warnings[:4] == judge(part_result.cutting, part_result.reconstruction) == (
+    assert part_result.warnings == judge(part_result.cutting, part_result.reconstruction) == (
         *(f"slice {k}: a contour 127 mm long may be closed or open: closed" for k in (2, 3, 4)),
+        "contours step abruptly between slices 7 and 8: made level, midway; do not measure at which"
+        " height",
         "ends of the part that no slice samples: 2 closed by a flat cap; do not measure on them",
     )  # fmt: skip
-    (shoulder,) = part_result.warnings[4:]
-    assert re.match(r"slices [\d, -]+: half of the points lie far beyond their noise", shoulder)
-    assert shoulder.endswith("do not measure there; scan more densely, or choose --method paper")
-    # The shoulder lies between the slices 7 and 8, of sixteen.
-    named = shoulder.removeprefix("slices ").partition(":")[0].split(", ")
-    spanned = [tuple(map(int, span.split("-"))) for span in named]
-    assert any(span[0] <= 7 and span[-1] >= 8 for span in spanned)
+
+
+def test_slices_from_whose_points_the_surface_keeps_away_are_named(part_result: Result) -> None:
+    cutting, off = part_result.cutting, part_result.deviation
+    sample = part_result.sample_mm
+    beside = np.isin(np.rint(sample[:, 2] / ROW_MM), [7, 8])
+    away = replace(off, distances_mm=off.distances_mm + 0.5 * beside)
+    said = judge_surface(cutting, part_result.reconstruction, sample, away, CleanupSettings())
+    assert len(said) == 1
+    assert said[0].startswith("slices 7-8: half of the points lie far beyond their noise from the")
+    assert said[0].endswith("do not measure there; scan more densely, or choose --method paper")
 
 
 def swaying_cloud(noise_mm: float) -> FloatArray:

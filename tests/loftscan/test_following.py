@@ -78,13 +78,9 @@ PAPER = Settings(method=Method.PAPER)
 
 
 def beside_the_surface(found: Result) -> tuple[str, ...]:
-    """What is said besides the ends of a fit, and where it smooths ten slices 4 mm apart."""
+    """What is said besides the ends of a fit."""
     assert ENDS in found.warnings
-    return tuple(
-        said
-        for said in found.warnings
-        if said != ENDS and "half of the points lie far beyond their noise" not in said
-    )
+    return tuple(said for said in found.warnings if said != ENDS)
 
 
 def radius_mm(angle_rad: np.ndarray, height_mm: float) -> np.ndarray:
