@@ -15,6 +15,7 @@ from reconstruction.skinning.branch import Branch
 from reconstruction.skinning.creases import find_creases
 from reconstruction.skinning.ends import Apex, Brim, brim_or_apex
 from reconstruction.skinning.feet import nearby
+from reconstruction.skinning.interpolating import follows, interpolating
 from reconstruction.skinning.laying import Laid, lay_net
 from reconstruction.skinning.merging import Cells
 from reconstruction.skinning.net import basis_at, unit_normals
@@ -32,6 +33,8 @@ _MOST_SPANS = 240
 _ROUND_SPANS = 48  # an exact ellipse is told by five numbers, but takes so many spans to follow
 _LEAST_SPANS_V, _WIDE_SPANS_V = 6, 32
 _MOST_SPANS_V = 160
+_FEW = 20  # outlines
+_SPANS_A_ROW = 2  # of a spline through few outlines
 _STATIONS_A_SPAN = 3
 _LEAST_STATIONS = 96
 _REACH = 6.0  # standard deviations from the first net: loose cells farther off are not its
@@ -148,7 +151,27 @@ def skin_branch(branch: Branch, loose: Moments | None = None) -> Skin:
 
 
 def _skin(branch: Branch, stations: Stations, loose: Moments, creases: FloatArray) -> Skin:
-    """The same with known creases (k, c): few spans to begin with, where they may do."""
+    """The same with known creases (k, c); a spline through few outlines, if no fit follows them."""
+    if len(branch.outlines) > _FEW:
+        return _fitted_skin(branch, stations, loose, creases)
+    spans = (_spans_around(branch), max(_SPANS_A_ROW * len(branch.outlines), _LEAST_SPANS_V))
+    laid = _between(branch, stations, creases, spans[0])
+    spline = _through(branch, laid, loose, spans)
+    try:
+        skin = _fitted_skin(branch, stations, loose, creases)
+    except Unfittable:
+        if spline is None:
+            raise
+        return spline
+    if spline is None or follows(
+        skin.fit, stations.places_mm, spline.fit.net, noise_of(branch)
+    ):
+        return skin
+    return spline
+
+
+def _fitted_skin(branch: Branch, stations: Stations, loose: Moments, creases: FloatArray) -> Skin:
+    """A fit: few spans to begin with, where they may do."""
     spans = (_spans_around(branch), _spans_along(branch))
     halvings = (
         _halvings(spans[0], _LEAST_SPANS_U, _WIDE_SPANS_U),
@@ -181,18 +204,33 @@ def _fitted(
     halvings: tuple[int, int],
 ) -> Skin:
     """A net of so many spans laid through the stations, and fitted; it may halve them."""
-    outlines, brims = branch.outlines, brims_of(branch)
+    brims, noise = brims_of(branch), noise_of(branch)
+    laid = lay_net(branch.outlines, stations, brims, (stations.spans or spans[0], spans[1]))
+    cells = _cells(branch, laid, loose, noise)
+    fit = fit_net(laid.net, cells, noise, rims=_rims(brims), halvings=halvings)
+    return Skin(branch, brims, laid, stations, fit)
+
+
+def _through(
+    branch: Branch, stations: Stations, loose: Moments, spans: tuple[int, int]
+) -> Skin | None:
+    """The surface through the outlines as they are."""
+    brims, noise = brims_of(branch), noise_of(branch)
     spans = (stations.spans or spans[0], spans[1])
-    laid = lay_net(outlines, stations, brims, spans)
-    noise = noise_of(branch)
-    cells = Cells(tuple(outline.moments for outline in outlines), laid.u, laid.v)
+    laid = lay_net(branch.outlines, stations, brims, spans, through=True)
+    fit = interpolating(laid, _cells(branch, laid, loose, noise), noise, _rims(brims))
+    return None if fit is None else Skin(branch, brims, laid, stations, fit)
+
+
+def _cells(branch: Branch, laid: Laid, loose: Moments, noise: Noise) -> Cells:
+    """Of the outlines, and loose ones that are near the net."""
+    cells = Cells(tuple(outline.moments for outline in branch.outlines), laid.u, laid.v)
     if len(loose):
         near, u, v = nearby(laid.net, loose, _REACH * math.sqrt(noise.level_mm2))
         cells = Cells(
             (*cells.parts, near), np.concatenate([cells.u, u]), np.concatenate([cells.v, v])
         )
-    fit = fit_net(laid.net, cells, noise, rims=_rims(brims), halvings=halvings)
-    return Skin(branch, brims, laid, stations, fit)
+    return cells
 
 
 def _dear(skin: Skin) -> float:
