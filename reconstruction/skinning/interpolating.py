@@ -30,21 +30,24 @@ _HELD = 0.9  # of the points, by their weights: likewise
 _ALL = 1e6  # standard deviations: every cell counts
 
 
-def follows(fit: TensorFit, rows_mm: FloatArray, spline: Net, noise: Noise) -> bool:
-    """Whether a fit keeps near its outlines, and near the spline through them between.
+def follows(fit: TensorFit, noise: Noise) -> bool:
+    """Whether a fit keeps near its outlines, whose scatter is known."""
+    held = float(fit.moments.counts @ fit.weights) / float(fit.moments.counts.sum())
+    return held > _HELD and fit.noise.level_mm2 < _SCATTER * noise.level_mm2
+
+
+def keeps_near(fit: TensorFit, spline: Net, rows_mm: FloatArray, noise: Noise) -> bool:
+    """Whether a fit keeps near the spline through its outlines between them, too.
 
     Parameters
     ----------
+    spline
+        Of any number of spans.
     rows_mm
         (k, m, 3), what the stations show of every outline.
-    spline
-        Through them, of any number of spans.
     noise
         As the outlines saw it.
     """
-    held = float(fit.moments.counts @ fit.weights) / float(fit.moments.counts.sum())
-    if fit.noise.level_mm2 > _SCATTER * noise.level_mm2 or held < _HELD:
-        return False
     off = np.median(_apart(spline, fit.net), axis=1)
     bends = np.linalg.norm(rows_mm[2:] - 2.0 * rows_mm[1:-1] + rows_mm[:-2], axis=2)
     bend = float(np.median(bends, axis=1).max(initial=0.0))
@@ -80,8 +83,9 @@ def interpolating(
     logs = log_stiffness(net, cells, noise)
     stiffness = np.full(lattice.count, logs[0]), np.full(lattice.count, logs[1])
     state = State(net, net.control_mm, merged.u, merged.v, noise, stiffness)
+    manner = Manner(learning=True, model=_ALL, steps=3)
     with threadpool_limits(1, "blas"):
-        done = do_round(state, merged.moments, lattice, rims, Manner(True, _ALL, 3))
+        done = do_round(state, merged.moments, lattice, rims, manner)
     if done is None:
         return None
     found = done[0]

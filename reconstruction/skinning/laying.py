@@ -195,9 +195,7 @@ def _interpolator(t: FloatArray, knots: FloatArray, *, closed: bool) -> FloatArr
     seconds = basis_at(at, knots, 2, closed=closed)
     bends = np.zeros((len(at), count))
     for k in range(4):
-        np.add.at(
-            bends, (np.arange(len(at)), (seconds.first + k) % count), seconds.values[:, 2, k]
-        )
+        np.add.at(bends, (np.arange(len(at)), (seconds.first + k) % count), seconds.values[:, 2, k])
     normal = design.T @ design + _NEXT_TO_NOTHING * bends.T @ bends
     return np.asarray(np.linalg.solve(normal, design.T))
 

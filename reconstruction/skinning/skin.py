@@ -15,7 +15,7 @@ from reconstruction.skinning.branch import Branch
 from reconstruction.skinning.creases import find_creases
 from reconstruction.skinning.ends import Apex, Brim, brim_or_apex
 from reconstruction.skinning.feet import nearby
-from reconstruction.skinning.interpolating import follows, interpolating
+from reconstruction.skinning.interpolating import follows, interpolating, keeps_near
 from reconstruction.skinning.laying import Laid, lay_net
 from reconstruction.skinning.merging import Cells
 from reconstruction.skinning.net import basis_at, unit_normals
@@ -33,7 +33,7 @@ _MOST_SPANS = 240
 _ROUND_SPANS = 48  # an exact ellipse is told by five numbers, but takes so many spans to follow
 _LEAST_SPANS_V, _WIDE_SPANS_V = 6, 32
 _MOST_SPANS_V = 160
-_FEW = 20  # outlines
+_FEW, _MANY = 20, 80  # outlines; of more, the way between two of them is short
 _SPANS_A_ROW = 2  # of a spline through few outlines
 _STATIONS_A_SPAN = 3
 _LEAST_STATIONS = 96
@@ -152,19 +152,19 @@ def skin_branch(branch: Branch, loose: Moments | None = None) -> Skin:
 
 def _skin(branch: Branch, stations: Stations, loose: Moments, creases: FloatArray) -> Skin:
     """The same with known creases (k, c); a spline through few outlines, if no fit follows them."""
-    if len(branch.outlines) > _FEW:
-        return _fitted_skin(branch, stations, loose, creases)
-    spans = (_spans_around(branch), max(_SPANS_A_ROW * len(branch.outlines), _LEAST_SPANS_V))
-    laid = _between(branch, stations, creases, spans[0])
-    spline = _through(branch, laid, loose, spans)
+    count, noise = len(branch.outlines), noise_of(branch)
     try:
         skin = _fitted_skin(branch, stations, loose, creases)
     except Unfittable:
+        spline = _through(branch, stations, loose, creases)
         if spline is None:
             raise
         return spline
-    if spline is None or follows(
-        skin.fit, stations.places_mm, spline.fit.net, noise_of(branch)
+    if count > _MANY or (count > _FEW and follows(skin.fit, noise)):
+        return skin
+    spline = _through(branch, stations, loose, creases)
+    if spline is None or (
+        follows(skin.fit, noise) and keeps_near(skin.fit, spline.fit.net, stations.places_mm, noise)
     ):
         return skin
     return spline
@@ -212,9 +212,13 @@ def _fitted(
 
 
 def _through(
-    branch: Branch, stations: Stations, loose: Moments, spans: tuple[int, int]
+    branch: Branch, stations: Stations, loose: Moments, creases: FloatArray
 ) -> Skin | None:
-    """The surface through the outlines as they are."""
+    """The surface through the outlines as they are; None if they are many, or of few points."""
+    if len(branch.outlines) > _MANY:
+        return None
+    spans = (_spans_around(branch), max(_SPANS_A_ROW * len(branch.outlines), _LEAST_SPANS_V))
+    stations = _between(branch, stations, creases, spans[0])
     brims, noise = brims_of(branch), noise_of(branch)
     spans = (stations.spans or spans[0], spans[1])
     laid = lay_net(branch.outlines, stations, brims, spans, through=True)
