@@ -1,8 +1,8 @@
 """Where the surface of `--method fit` is not where the points are, slice by slice.
 
-One smooth surface a branch cannot follow what changes at once from slice to slice, such as a
-shoulder. The curves of the slices are right there and their residuals small, so only the distances
-of the points from the mesh can tell.
+One smooth surface a branch cannot follow what changes at once from slice to slice on one side, such
+as a bulge that begins between two. The curves of the slices are right there and their residuals
+small, so only the distances of the points from the mesh can tell.
 """
 
 from __future__ import annotations
@@ -74,6 +74,6 @@ def _sentence(away_mm: dict[int, float], cleanup: CleanupSettings) -> str:
     if cleanup.decimate_to_faces is not None or cleanup.remesh_edge_mm is not None:
         return f"{where}: a mesh so coarse does not follow the surface; ask for more faces"
     return (
-        f"{where}: the surface is smoother than the part, as at a shoulder between two slices; do "
-        "not measure there; scan more densely, or choose --method paper"
+        f"{where}: the surface is smoother than the part, as where a bulge of one side begins"
+        " between two slices; do not measure there; scan more densely, or choose --method paper"
     )
