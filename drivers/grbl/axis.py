@@ -42,6 +42,7 @@ from drivers.grbl.wire import FENCE, Realtime, feed_move, jog
 from drivers.links import ByteLink
 from drivers.recipes import Order, Recipe, Word
 
+_GENTLY_S: Final = 0.1
 RESET_S: Final = 0.2  # until the banner of a board that is up
 _PLANNER_S: Final = 0.1  # idle for so long somewhere else, a move is over and not yet to begin
 _UNHOMED_JOG: Final = 1.0  # degree or mm, from where the axis stands
@@ -190,13 +191,17 @@ class GrblAxis:
             )
 
     def recipes(self) -> tuple[Recipe, ...]:
-        """Hold or cancel, and see it stand; then reset, which homing needs; `drivers.recipes`."""
+        """Hold or cancel, then reset; see `drivers.recipes`.
+
+        The reset comes after a tenth of a second, standing or not: homing hears nothing else, and
+        the position is a dead program's, which nobody will believe again.
+        """
         gentle = Word(Realtime.HOLD.wire + Realtime.JOG_CANCEL.wire, b"", 0.0)
         reset = Word(Realtime.RESET.wire, rb"Grbl\w* \S+ \[", RESET_S)
-        stands = Word(Realtime.STATUS.wire, rb"<(?:Idle|Hold:0|Alarm|Door:[01]|Sleep)[|>]", 0.05)
-        name, rest_s = self._name, self._braking_s() + 0.1
+        stands = Word(Realtime.STATUS.wire, rb"<(?:Idle|Hold:0|Alarm|Door:[01]|Sleep)[|>]", 0.03)
+        name = self._name
         return (
-            Recipe(name, Order.AXIS, (gentle,), (stands,), rest_s=min(rest_s, 1.0)),
+            Recipe(name, Order.AXIS, (gentle,), (stands,), rest_s=_GENTLY_S),
             Recipe(f"{name}, reset", Order.AXIS, (reset,), (stands,)),
         )
 
