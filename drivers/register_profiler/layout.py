@@ -103,29 +103,34 @@ class Layout:
         last = self.first_register + self.words - 1
         if last > LAST_REGISTER:
             raise ValueError(
-                f"first_register: {self.columns} columns from {self.first_register} on end at {last};"
-                f" the last register is {LAST_REGISTER}"
+                f"first_register: {self.columns} columns from {self.first_register} on end at"
+                f" {last}; the last register is {LAST_REGISTER}"
             )
-        if self.sequence_register is not None:
-            _must_be_in("sequence_register", self.sequence_register, 0, LAST_REGISTER)
-        _must_be_scale("z_mm_per_count", self.z_mm_per_count)
-        _must_be_scale("column_pitch_mm", self.column_pitch_mm)
+        for name in ("z_mm_per_count", "column_pitch_mm"):
+            _must_be_scale(name, getattr(self, name))
         for name in ("z_offset_mm", "first_column_mm"):
             if not math.isfinite(getattr(self, name)):
                 raise ValueError(f"{name} = {getattr(self, name)}; write a finite number")
-        low, high = self.range
-        for value, reason in self.missing:
-            _must_be_in(f"{reason.name.lower()}_value", value, low, high)
+        self._must_tell_reasons_apart()
+        self._must_have_signs_of_their_own()
+
+    def _must_tell_reasons_apart(self) -> None:
         first: dict[int, Reason] = {}
         for value, reason in self.missing:
+            name = f"{reason.name.lower()}_value"
+            _must_be_in(name, value, *self.range)
             if (other := first.setdefault(value, reason)) is not reason:
-                raise ValueError(
-                    f"{reason.name.lower()}_value: {value} stands for {other.name.lower()}_value, too"
-                )
-        if self.ready is not None and self.ready.register in self.registers:
-            raise ValueError(f"ready_register: {self.ready.register} holds a column")
-        if self.sequence_register in self.registers:
-            raise ValueError(f"sequence_register: {self.sequence_register} holds a column")
+                raise ValueError(f"{name}: {value} stands for {other.name.lower()}_value, too")
+
+    def _must_have_signs_of_their_own(self) -> None:
+        signs = {"sequence_register": self.sequence_register}
+        if self.ready is not None:
+            signs["ready_register"] = self.ready.register
+        for name, register in signs.items():
+            if register is not None:
+                _must_be_in(name, register, 0, LAST_REGISTER)
+                if register in self.registers:
+                    raise ValueError(f"{name}: {register} holds a column")
 
     @property
     def words(self) -> int:
