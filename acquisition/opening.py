@@ -20,17 +20,14 @@ from dataclasses import dataclass, replace
 from acquisition.axes import stage_maker, table_maker
 from acquisition.lease import TTL_S, Lease
 from acquisition.ports import check_ports
+from acquisition.profilers import profiler_maker
 from acquisition.safety.guarding import AttendedLink, Guard, first_word_s, guarded
 from acquisition.safety.places import Place, places_of
 from acquisition.safety.states import Event, Rules, State
 from acquisition.safety.supervising import PermittedLaser, Supervisor
 from acquisition.safety.switches import switch_of
-from acquisition.station import (
-    BaumerOx,
-    NoLaserSwitch,
-    Station,
-)
-from drivers import baumer_ox, zaber
+from acquisition.station import NoLaserSwitch, Station
+from drivers import zaber
 from drivers.addresses import SerialAddress, TcpAddress, UdpAddress, parse_address
 from drivers.axis import Axis
 from drivers.endings import at_last, unless_done
@@ -98,7 +95,7 @@ def open_station(
     """
     check_ports(station)
     make_table, make_stage = table_maker(station.table), stage_maker(station.stage)
-    profiler_settings = baumer_ox_settings(station.profiler)
+    make_profiler = profiler_maker(station.profiler)
     safety = _supervisor(station, clock)
     with ExitStack() as endings:
         endings.callback(safety.tell, Event.CLOSE)
@@ -117,7 +114,7 @@ def open_station(
         stage = make_stage(wires)
         endings.enter_context(at_last(stage.stop))
         wires.hand_over(stage, station.stage.address)
-        profiler = _profiler(station.profiler, profiler_settings, wires)
+        profiler = make_profiler(wires)
         wires.hand_over(profiler, station.profiler.address)
         endings.enter_context(at_last(laser.off))  # before the axes, which may take their time
         lease = Lease(TTL_S, clock, guard)
@@ -171,17 +168,6 @@ def _supervisor(station: Station, clock: Clock) -> Supervisor:
     return safety
 
 
-def baumer_ox_settings(profiler: BaumerOx) -> baumer_ox.Settings:
-    """Scales that the sensor itself does not tell."""
-    return baumer_ox.Settings(
-        x_mm_per_count=profiler.x_mm_per_count,
-        z_mm_per_count=profiler.z_mm_per_count,
-        x_offset_mm=profiler.x_offset_mm,
-        z_offset_mm=profiler.z_offset_mm,
-        device_id=profiler.device_id,
-    )
-
-
 class _Wires:
     """Each link opened once and closed on the way out; devices at one address share its bus.
 
@@ -218,15 +204,19 @@ class _Wires:
 
     def link(self, address: str) -> ByteLink:
         """Open an address."""
+        link = self.brief_link(address)
+        self._endings.enter_context(at_last(link.close))
+        self._opened[_place(address)] = link
+        return link
+
+    def brief_link(self, address: str) -> AttendedLink:
+        """Open an address for somebody who closes it."""
         role = self._roles.get(_place(address), "sensor")
 
         def lost() -> None:
             self._safety.lost_role = role
 
-        link = AttendedLink(self._links(address), self._guard, lost)
-        self._endings.enter_context(at_last(link.close))
-        self._opened[_place(address)] = link
-        return link
+        return AttendedLink(self._links(address), self._guard, lost)
 
     def chain(self, address: str) -> zaber.Chain:
         """A chain of Zaber devices; both axes may be on one."""
@@ -281,11 +271,3 @@ def _roles(station: Station) -> dict[_Address, str]:
 def _addresses(station: Station) -> list[str]:
     tables = (station.table, station.stage, station.profiler, station.laser)
     return [each.address for each in tables if not isinstance(each, NoLaserSwitch)]
-
-
-def _profiler(settings: BaumerOx, scales: baumer_ox.Settings, wires: _Wires) -> baumer_ox.BaumerOx:
-    bus, link = wires.bus(settings.address), wires.link(settings.profiles)
-    profiler = baumer_ox.BaumerOx(bus, link, scales, clock=wires.clock)
-    if settings.setup is not None:
-        profiler.load_setup(settings.setup, wires.sleep)
-    return profiler

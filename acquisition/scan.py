@@ -30,9 +30,10 @@ from acquisition.lease import LONGEST_WAIT_S, lasing, pausing
 from acquisition.opening import OpenStation, at_rest_unless_done
 from acquisition.plan import Plan, Target, check_plan, targets
 from acquisition.poses import Pose, Sweep
+from acquisition.profilers import lost_profile
 from acquisition.safety.leading import arm, begin_homing, homed, known
 from acquisition.safety.states import Event, State
-from acquisition.station import BaumerOx, GrblTable, TableZero
+from acquisition.station import GrblTable, TableZero
 from drivers.axis import Axis, AxisState, Motion
 from drivers.errors import NoReply, Refused
 from drivers.profiler import Profile, Reason
@@ -134,21 +135,6 @@ def scan(
         raise ValueError(f"plan: it has the slices 0 to {whole[-1]}, no slice {unknown[0]}")
     taken = [target for target in targets(plan) if target.index in set(wanted)]
     return _Scan(station, plan, stop, part, progress).sweeps(taken)
-
-
-def lost_profile(settings: BaumerOx) -> Profile:
-    """Stand in for a profile that never came: its places, every one of them LOST."""
-    points = settings.points_per_profile
-    return Profile(
-        counts=np.zeros((points, 2), np.int32),
-        scale_mm=(settings.x_mm_per_count, settings.z_mm_per_count),
-        offset_mm=(settings.x_offset_mm, settings.z_offset_mm),
-        reasons=np.full(points, Reason.LOST, np.uint8),
-        intensity=np.empty(0, np.uint16),
-        sensor_time_s=0.0,
-        encoder=0,
-        frame=-1,
-    )
 
 
 class _Scan:

@@ -13,6 +13,7 @@ from typing import Annotated, ClassVar
 
 from acquisition.frames import Kinematics
 from acquisition.motion_settings import AzStage, AzTable, ZaberStage, ZaberTable
+from acquisition.profiler_settings import BannerEzArray, RegisterProfiler, Riftek
 from acquisition.settings import Key, commented_toml, parse_settings, read_settings
 from drivers.addresses import parse_address
 
@@ -243,6 +244,7 @@ class NoLaserSwitch:
 
 TableSettings = GrblTable | ZaberTable | AzTable
 StageSettings = LeadshineStage | ZaberStage | AzStage
+ProfilerSettings = BaumerOx | Riftek | RegisterProfiler | BannerEzArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -252,7 +254,7 @@ class Station:
     name: Annotated[str, Key("for reports")] = "station"
     table: Annotated[TableSettings, Key("what turns the part")]
     stage: Annotated[StageSettings, Key("what lifts the laser plane or the part")]
-    profiler: Annotated[BaumerOx, Key("what measures")]
+    profiler: Annotated[ProfilerSettings, Key("what measures")]
     laser: Annotated[
         RelayLaser | GrblLaser | NoLaserSwitch,
         Key('what switches the laser: "relay", "grbl", or "none" (then no unattended runs)'),

@@ -100,13 +100,40 @@ _STAGES: Mapping[str, tuple[Question, ...]] = {
         *_LIFTS,
     ),
 }
-_REST = (
-    Question("profiler.address", "the profiler's Modbus", "tcp://192.168.0.250:502"),
-    Question("profiler.profiles", "where its profiles arrive", "udp://:1234"),
+_MEASURES = (
     Question("profiler.rate_hz", "profiles a second", 100.0),
     Question("profiler.points_per_profile", "points of a profile, at most", 640),
-    Question("profiler.x_mm_per_count", "mm a count of x", 0.01),
-    Question("profiler.z_mm_per_count", "mm a count of z", 0.01),
+)
+_PROFILERS: Mapping[str, tuple[Question, ...]] = {
+    "baumer_ox": (
+        Question("profiler.address", "the profiler's Modbus", "tcp://192.168.0.250:502"),
+        Question("profiler.profiles", "where its profiles arrive", "udp://:1234"),
+        *_MEASURES,
+        Question("profiler.x_mm_per_count", "mm a count of x", 0.01),
+        Question("profiler.z_mm_per_count", "mm a count of z", 0.01),
+    ),
+    "riftek": (
+        Question("profiler.address", "the profiler's HTTP port", "tcp://192.168.1.30:80"),
+        Question("profiler.profiles", "where its profiles arrive", "udp://:50001"),
+        *_MEASURES,
+        Question("profiler.z_offset_mm", "where its range begins, mm", 0.0),
+    ),
+    "registers": (
+        Question("profiler.address", "bus of the profiler", "tcp://192.168.0.250:502"),
+        Question("profiler.first_register", "register of the first column, from 0", 0),
+        *_MEASURES,
+        Question("profiler.z_mm_per_count", "mm a count of z", 0.01),
+        Question("profiler.column_pitch_mm", "mm from a column to the next", 0.1),
+        Question("profiler.sequence_register", "register that counts profiles, from 0", 65535),
+    ),
+    "banner_ez_array": (
+        Question("profiler.address", "bus of the screen", "serial:///dev/ttyUSB2?baud=19200"),
+        Question("profiler.rate_hz", "scans a second", 10.0),
+        Question("profiler.points_per_profile", "channels of the screen", 120),
+        Question("profiler.channel_pitch_mm", "mm from a channel to the next", 5.0),
+    ),
+}
+_REST = (
     Question("laser.address", "the laser relay's Modbus, or none", "tcp://192.168.0.254:502"),
     Question("laser.watchdog_s", "seconds of silence after which the relay drops", 0.25),
     Question("kinematics.height_mm", "height of the laser plane over the plate, stage at 0", 0.0),
@@ -116,15 +143,17 @@ _REST = (
 
 @dataclass(frozen=True, slots=True)
 class Families:
-    """What turns the part and what lifts the laser plane."""
+    """What turns the part, what lifts the laser plane, what measures."""
 
     table: str = "grbl"
     stage: str = "leadshine"
+    profiler: str = "baumer_ox"
 
     def __post_init__(self) -> None:
         for role, name, known in (
             ("table", self.table, _TABLES),
             ("stage", self.stage, _STAGES),
+            ("profiler", self.profiler, _PROFILERS),
         ):
             if name not in known:
                 raise ValueError(
@@ -134,12 +163,16 @@ class Families:
     @property
     def questions(self) -> tuple[Question, ...]:
         """Everything that differs from station to station, in the order of the file."""
-        return (*_TABLES[self.table], *_STAGES[self.stage], *_REST)
+        return (
+            *_TABLES[self.table],
+            *_STAGES[self.stage],
+            *_PROFILERS[self.profiler],
+            *_REST,
+        )
 
 
 _USUAL = Families()
 _FIXED = {
-    "profiler": {"family": "baumer_ox"},
     "laser": {"switch": "relay", "family": "turck"},
     "kinematics": {"kind": "nominal", "table_sense": "counter-clockwise", "stage_sense": "up"},
 }
@@ -180,7 +213,8 @@ def _superfluous(key: str, answers: Mapping[str, object]) -> bool:
 
 def _nested(values: Mapping[str, object], families: Families) -> dict[str, dict[str, Any]]:
     nested: dict[str, dict[str, Any]] = {name: dict(table) for name, table in _FIXED.items()}
-    nested["table"], nested["stage"] = {"family": families.table}, {"family": families.stage}
+    for role in ("table", "stage", "profiler"):
+        nested[role] = {"family": getattr(families, role)}
     for path, value in values.items():
         table, _, key = path.partition(".")
         nested[table][key] = value

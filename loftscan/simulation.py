@@ -76,6 +76,7 @@ def simulate(
     stops: int | None = None,
     table: str | None = None,
     stage: str | None = None,
+    profiler: str | None = None,
     faults: str | Sequence[str] = (),
     laser: str | None = None,
     out: str | os.PathLike[str] | None = None,
@@ -92,6 +93,8 @@ def simulate(
         Of the plan: how many rings, and how many stops of the table in each.
     table, stage
         Families of the axes, such as ``table="oriental"``; by default grbl and leadshine.
+    profiler
+        Family of what measures: ``"baumer_ox"`` by default, ``"riftek"`` or ``"registers"``.
     faults
         Planted faults by name, such as ``"no-profiles"``.
     laser
@@ -109,7 +112,7 @@ def simulate(
     options = {
         "--part": part, "--seed": seed, "--scale": scale, "--cloud-width-mm": cloud_width_mm,
         "--outliers": outliers, "--rings": rings, "--stops": stops, "--faults": planted or None,
-        "--table": table, "--stage": stage,
+        "--table": table, "--stage": stage, "--profiler": profiler,
         "--laser": laser,
     }  # fmt: skip
     chosen = [each for name, value in options.items() if value is not None

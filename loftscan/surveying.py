@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 from acquisition.lease import LONGEST_WAIT_S
 from acquisition.opening import OpenStation, open_station
+from acquisition.profilers import as_it_is
 from acquisition.safety.guarding import unguarded
 from acquisition.station import NoLaserSwitch, Station
 from drivers.axis import Axis, AxisState, Identity, Motion
@@ -21,7 +22,7 @@ from drivers.grbl import GrblAxis
 from drivers.laser import Guarantee, LaserSwitch
 from drivers.links import ByteLink, open_link
 from drivers.profiler import Profiler
-from drivers.tiers import TIERS
+from drivers.tiers import tier_of
 
 _BRAKING_S = 5.0
 
@@ -111,7 +112,7 @@ def reached(station: Station, *, links: Callable[[str], ByteLink] = open_link) -
             return AbsentLink(address, str(gone))
 
     # A setup of the sensor that cannot be loaded is no reason to leave the axes unreached.
-    plain = replace(station, profiler=replace(station.profiler, setup=None))
+    plain = replace(station, profiler=as_it_is(station.profiler))
     with ExitStack() as way_out:
         trouble = ""
         try:
@@ -212,7 +213,7 @@ def _blank(station: Station, role: str) -> Finding:
     family = settings.switch if role == "laser" else settings.family
     names = ("address", "profiles")
     addresses = tuple(getattr(settings, name) for name in names if hasattr(settings, name))
-    return Finding(role, str(family), addresses, TIERS[family].value)
+    return Finding(role, str(family), addresses, tier_of(family).value)
 
 
 def _laser(station: Station, laser: LaserSwitch, promise: Guarantee, found: Reached) -> Finding:

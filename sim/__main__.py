@@ -24,6 +24,7 @@ from sim.cabling import Cabling
 from sim.faults import FAULTS, parse_faults
 from sim.lasers import LaserWiring
 from sim.parts import PARTS, find_part
+from sim.profilers import ProfilerFamily
 from sim.relay import Contact
 from sim.serving import Ending, Server
 from sim.stations import (
@@ -83,6 +84,7 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
         outlier_rate=wanted.outliers,
         table_family=TableFamily(wanted.table),
         stage_family=StageFamily(wanted.stage),
+        profiler_family=ProfilerFamily(wanted.profiler),
         laser=LaserWiring(wanted.laser),
     )
     files = _files(wanted, folder)
@@ -175,6 +177,9 @@ def _parser() -> argparse.ArgumentParser:
         names = [each.value for each in families]
         default = getattr(normal, f"{role}_family").value
         option(f"--{role}", choices=names, default=default, help="family of that axis")
+    profilers = [each.value for each in ProfilerFamily]
+    default = normal.profiler_family.value
+    option("--profiler", choices=profilers, default=default, help="family of what measures")
     option("--rings", type=_count_from(1), default=PLAN_RINGS, help="of plan.toml")
     option("--stops", type=_count_from(3), default=PLAN_STOPS, help="of the table, in each ring")
     option("--faults", default="", metavar="NAME,NAME=N", help="what is wrong; --list names all")

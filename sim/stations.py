@@ -30,7 +30,6 @@ from sim.axes import (
     stage_toml,
     table_toml,
 )
-from sim.baumer_ox import OxSensor, OxSettings
 from sim.cabling import Cabling
 from sim.device import Device, ModbusUnit
 from sim.faults import Breath, Faults, Silent, Speaker
@@ -39,11 +38,18 @@ from sim.lasers import LaserWiring, Slow, laser_table, relay_settings, spindle_b
 from sim.modbus import RtuServer, TcpSession
 from sim.motion import AxisMotion, Limits, Play
 from sim.optics import OpticalBench, OpticsSettings
+from sim.profilers import (
+    ProfilerFamily,
+    SimProfiler,
+    build_profiler,
+    connect_profiler,
+    profiler_toml,
+)
 from sim.relay import RelayBlock
 from sim.sensor import Flaws, Mounting, Sensor
 from sim.serving import Server
 from sim.solids import Part
-from sim.wires import Pty, TcpListener, UdpSender
+from sim.wires import Pty, TcpListener
 from sim.witness import Witness
 from sim.world import Pace, World, WorldAxis
 
@@ -73,6 +79,7 @@ class Layout:
     rate_hz: float = 100.0
     table_family: TableFamily = TableFamily.GRBL
     stage_family: StageFamily = StageFamily.LEADSHINE
+    profiler_family: ProfilerFamily = ProfilerFamily.BAUMER_OX
     table_limits: Limits = field(
         default_factory=lambda: Limits(math.radians(180.0), math.radians(2000.0))
     )
@@ -116,7 +123,7 @@ class Devices:
     world: World
     table: Table
     stage: Stage
-    profiler: OxSensor
+    profiler: SimProfiler
     relay: RelayBlock
     laser_board: GrblBoard  # speaks where its spindle output switches the laser
     laser_cable: Breath  # of whatever switches the laser; none is a cable that was pulled
@@ -163,7 +170,7 @@ def build(
         world,
         build_table(layout, world),
         build_stage(layout, world),
-        OxSensor(world, OxSettings(rate_hz=layout.rate_hz)),
+        build_profiler(layout, world),
         RelayBlock(world, relay_settings(layout.laser)),
         spindle_board(world, witness),
         Breath(faults.silent_after.get(Speaker.RELAY, _FOR_EVER)),
@@ -181,16 +188,13 @@ def connect(
         A port is taken.
     """
     table, stage = _serial_lines(devices, layout, cabling, server, folder)
-    profiles = UdpSender(layout.profiles_port)
-    server.broadcast(profiles, cabling.network(devices.profiler, Speaker.PROFILER))
+    profiler, profiles = connect_profiler(devices.profiler, layout, cabling, server)
     server.tell_time(devices.relay.tick)  # its watchdog bites whether or not it has a connection
     return Addresses(
         table=table,
         stage=stage,
-        profiler=_listen(
-            devices.profiler, cabling.tcp(Speaker.PROFILER), layout.profiler_port, server
-        ),
-        profiles=profiles.address,
+        profiler=profiler,
+        profiles=profiles,
         laser=_laser_address(devices, layout, cabling, server, folder),
     )
 
@@ -213,16 +217,13 @@ def _laser_address(
 
 def station_toml(layout: Layout, addresses: Addresses, part_name: str) -> str:
     """Write the station.toml of a layout, with comments."""
-    mounting, sensor = layout.mounting, layout.sensor
+    mounting = layout.mounting
     return _STATION.format(
         name=json.dumps(f"simulated station, {part_name}"),
         table=table_toml(layout, addresses.table),
         stage=stage_toml(layout, addresses.stage),
-        addresses=addresses,
-        layout=layout,
+        profiler=profiler_toml(layout, addresses.profiler, addresses.profiles),
         mounting=mounting,
-        sensor=sensor,
-        device_id=_DEVICE_ID,
         table_sense=mounting.turning.name.lower().replace("_", "-"),
         laser=laser_table(
             layout.laser, addresses.laser, device_id=_DEVICE_ID, watchdog_s=layout.watchdog_s
@@ -317,19 +318,7 @@ name = {name}
 
 {table}
 {stage}
-# what measures: a Baumer OX200
-[profiler]
-family = "baumer_ox"
-address = "{addresses.profiler}"
-device_id = {device_id}
-profiles = "{addresses.profiles}"  # our end of the wire: here they arrive
-rate_hz = {layout.rate_hz}
-points_per_profile = {sensor.points}
-x_mm_per_count = {sensor.x_mm_per_count}
-z_mm_per_count = {sensor.z_mm_per_count}
-x_offset_mm = {sensor.x_offset_mm}
-z_offset_mm = {sensor.z_offset_mm}
-
+{profiler}
 # what switches the laser; a Turck block drops its outputs when nobody talks to it
 [laser]
 {laser}

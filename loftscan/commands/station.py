@@ -30,6 +30,9 @@ def init(
     stage: Address = None,
     table_family: Annotated[str, typer.Option(help="grbl, zaber or oriental.")] = "grbl",
     stage_family: Annotated[str, typer.Option(help="leadshine, zaber or oriental.")] = "leadshine",
+    profiler_family: Annotated[
+        str, typer.Option(help="baumer_ox, riftek, registers or banner_ez_array.")
+    ] = "baumer_ox",
     profiler: Address = None,
     profiles: Address = None,
     laser: Annotated[str | None, typer.Option(help="The relay's address, or none.")] = None,
@@ -79,16 +82,17 @@ def init(
         "kinematics.standoff_mm": standoff_mm,
     }
     answers = {k: v for k, v in said.items() if v is not None}
-    run(lambda: _write(out, plan, answers, (table_family, stage_family)), debug=debug)
+    families = (table_family, stage_family, profiler_family)
+    run(lambda: _write(out, plan, answers, families), debug=debug)
 
 
 def _write(
-    out: Path, plan: Path | None, answers: dict[str, str | float | int], axes: tuple[str, str]
+    out: Path, plan: Path | None, answers: dict[str, str | float | int], named: tuple[str, str, str]
 ) -> None:
     from acquisition.station import parse_station
     from loftscan.new_station import MARK, Families, new_plan, new_station
 
-    families = Families(*axes)
+    families = Families(*named)
     files = [file for file in (out, plan) if file is not None]
     for file in files:
         _must_be_new(file)

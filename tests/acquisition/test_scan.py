@@ -16,6 +16,7 @@ from acquisition.lease import TTL_S, Lease
 from acquisition.opening import OpenStation
 from acquisition.plan import Plan, StepAndShoot, ring
 from acquisition.poses import Sweep
+from acquisition.profilers import lost_profile
 from acquisition.safety.guarding import NoGuard
 from acquisition.safety.states import Event, Rules
 from acquisition.safety.supervising import PermittedLaser, Supervisor
@@ -24,7 +25,6 @@ from acquisition.scan import (
     Progress,
     StopRequest,
     Wish,
-    lost_profile,
     scan,
 )
 from acquisition.station import Station, TableZero

@@ -135,6 +135,17 @@ class Bank:
     does: Callable[[Slave, bytes], None] = stores
 
 
+def measures(slave: Slave, pdu: bytes) -> None:
+    """A profile for each word that is written to its trigger, and then its number and its flag."""
+    if pdu[:3] != b"\x06\x00\x20":
+        return
+    um = [-0x8000_0000 if 10 <= k < 50 else -3000 + 2013 * k for k in range(150)]
+    words = struct.unpack("<300H", struct.pack("<150i", *um))
+    slave.set_values("inputs 0x100", 0x0100, words)
+    (number,) = slave.get_values("inputs 0x4", 0x0005, 1)
+    slave.set_values("inputs 0x4", 0x0004, [0b1000, number + 1])
+
+
 BANKS: Mapping[str, Callable[[], Bank]] = {
     # Leadshine: 10 000 pulses, closed loop, enabled; path 0 and what is around 0x6002.
     "drive": lambda: Bank(
@@ -175,8 +186,12 @@ BANKS: Mapping[str, Callable[[], Bank]] = {
         },
         does=sets_up,
     ),
+    # 150 columns of 32 bits, low word first, -3 mm to 296.9 mm in um; 40 of them did not return.
+    "columns": lambda: Bank(
+        9, {0x0020: [0]}, {0x0004: [0, 6], 0x0100: [0] * 300}, does=measures,
+    ),
 }  # fmt: skip
-_ON_A_LINE = ("drive", "stuck", "turntable", "contact")
+_ON_A_LINE = ("drive", "stuck", "turntable", "contact", "columns")
 
 
 def main(kind: str) -> None:

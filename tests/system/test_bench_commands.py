@@ -707,11 +707,19 @@ def test_init_writes_a_station_of_these_families(place: Path, table: str, stage:
     assert "PLACEHOLDER" in Path("station.toml").read_text()
 
 
+@pytest.mark.parametrize("profiler", ["baumer_ox", "riftek", "registers", "banner_ez_array"])
+def test_init_writes_a_station_with_this_profiler(place: Path, profiler: str) -> None:
+    succeeded(run("init", "--profiler-family", profiler))
+    assert read_station(Path("station.toml")).profiler.family == profiler
+
+
 def test_init_refuses_families_that_it_does_not_know_and_keys_that_are_not_theirs(
     place: Path,
 ) -> None:
     said = complaint(run("init", "--table-family", "abacus"), 2)
     assert said.startswith("--table-family: 'abacus' is not known; write grbl or zaber")
+    said = complaint(run("init", "--profiler-family", "abacus"), 2)
+    assert said.startswith("--profiler-family: 'abacus' is not known; write baumer_ox or riftek")
     said = complaint(run("init", "--table-family", "zaber", "--steps-per-deg", 80), 2)
     assert "table.steps_per_deg: unknown key" in said
 
