@@ -21,5 +21,6 @@ TIERS = {
     "oriental": Tier.MANUAL_FRAMES,
     "zaber": Tier.THIRD_PARTY_CODE,
     "baumer_ox": Tier.MANUAL_FRAMES,
+    "hokuyo": Tier.MANUAL_FRAMES,
     "relay": Tier.INFERRED,
 }
