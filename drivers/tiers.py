@@ -22,5 +22,6 @@ TIERS = {
     "zaber": Tier.THIRD_PARTY_CODE,
     "baumer_ox": Tier.MANUAL_FRAMES,
     "hokuyo": Tier.MANUAL_FRAMES,
+    "sick": Tier.INFERRED,
     "relay": Tier.INFERRED,
 }
