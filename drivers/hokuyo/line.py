@@ -18,6 +18,7 @@ from drivers.links import ByteLink
 
 REPLY_S: Final = 0.1  # beyond what the line itself takes
 _STEP_S: Final = 0.005
+_LATE_S: Final = 0.02
 _SCIP_2: Final = b"SCIP2.0\n"  # a URG-04LX begins in SCIP 1.1
 _SWITCHING_S: Final = 0.05
 
@@ -103,9 +104,10 @@ class ScipLine:
         try:
             while (reply := self.dialogue.take(asked)) is None:
                 left_s = deadline_s - self.clock()
-                if left_s <= 0.0:
+                heard = self.listen(min(max(left_s, 0.0), _STEP_S))
+                # What is there already is heard, however late we come, but not for ever.
+                if left_s <= (-_LATE_S if heard else 0.0):
                     break
-                self.listen(min(left_s, _STEP_S))
         finally:
             self.dialogue.give_up(asked)
         if reply is not None and reply.status not in MISHEARD:

@@ -36,6 +36,7 @@ _MM_PER_COUNT: Final = 0.001
 _LONGEST_REPLY_S: Final = 0.05  # a switch-off is confirmed behind it
 _BITS_A_CHARACTER: Final = 10
 _LOOKS_A_SCAN: Final = 10
+_MOST_WAITING: Final = 1000  # reads: above what a port's buffer holds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -158,8 +159,9 @@ class Hokuyo:
         if self._asked is not None:
             self._line.dialogue.give_up(self._asked)
         self._asked, self._status = None, ""
-        while self._line.listen(0.0):
-            pass
+        for _ in range(_MOST_WAITING):
+            if not self._line.listen(0.0):
+                break
 
     def tally(self) -> Tally:
         """What was lost so far; a scan that nobody asked for is no loss."""

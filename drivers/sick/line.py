@@ -26,6 +26,7 @@ FORGETS_S: Final = 2.0  # a command must be whole within it (page 111)
 _LATENCY_S: Final = 0.05  # of this host and its adapter; the manual's times are the sensor's own
 _SLICE_S: Final = 0.02
 _QUIET_S: Final = 0.03  # longer than an adapter holds bytes back
+_NOISY_S: Final = 1.0  # of bytes that nobody asked for, until we say so
 _BITS_A_CHARACTER: Final = 10
 
 
@@ -98,7 +99,8 @@ class SickLine:
     def rest(self) -> None:
         """Give up the question that is under way: its answer goes by before the next is asked."""
         longest = AROUND + MOST_DATA
-        self._rests_until_s = self.clock() + self._wire_s(longest) + _LATENCY_S
+        gone_s = self.clock() + self._wire_s(longest) + _LATENCY_S
+        self._rests_until_s = max(self._rests_until_s, gone_s)
 
     def _exchanged(self, question: Question) -> Generator[None, None, bytes]:
         yield from self._rested()
@@ -112,7 +114,9 @@ class SickLine:
         while not frames and (left_s := deadline_s - self.clock()) > 0.0:
             frames.extend(self._decoder.feed(self._link.read(min(left_s, _SLICE_S))))
             yield
-        frames.extend(self._decoder.flush())
+        if not frames:  # a caller that was away for long finds its answer in the port
+            frames.extend(self._decoder.feed(self._link.read(0.0)))
+            frames.extend(self._decoder.flush())
         if not frames:
             self._rest_after_silence(sent_s)
         # What came may be another's answer, and ours still on its way.
@@ -150,12 +154,21 @@ class SickLine:
 
     def _rested(self) -> Iterator[None]:
         """Let late bytes go by, each of which makes the silence begin anew."""
+        gives_up_s = max(self.clock(), self._rests_until_s) + _NOISY_S
         while (left_s := self._rests_until_s - self.clock()) > 0.0:
-            if self._link.read(min(left_s, _SLICE_S)):
-                self._rests_until_s = max(self._rests_until_s, self.clock() + _QUIET_S)
+            self._hush(self._link.read(min(left_s, _SLICE_S)), gives_up_s)
             yield
-        while self._link.read(0.0):
-            pass
+        while late := self._link.read(0.0):
+            self._hush(late, gives_up_s)
+            yield
+
+    def _hush(self, heard: bytes, gives_up_s: float) -> None:
+        if heard and self.clock() >= gives_up_s:
+            raise FrameError(
+                f"sick at {self.address}: the line is never quiet; does another device talk on it?"
+            )
+        if heard:
+            self._rests_until_s = max(self._rests_until_s, self.clock() + _QUIET_S)
 
     def _wire_s(self, count: int) -> float:
         return count * _BITS_A_CHARACTER / self._baud

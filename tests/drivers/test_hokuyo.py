@@ -227,6 +227,27 @@ def test_a_stream_that_another_program_left_on_does_not_disturb() -> None:
     assert rig.line.dialogue.strays > 3
 
 
+class Babbling:
+    """A port on which something else never stops."""
+
+    def receive(self, data: bytes, now_s: float) -> bytes:
+        return b""
+
+    def tick(self, now_s: float) -> bytes:
+        return b"U"
+
+
+def test_no_babble_makes_a_wait_longer_than_its_deadline() -> None:
+    rig = Rig(wrap=lambda _: Babbling())
+    began_s = rig.clock()
+    with pytest.raises(NoReply):
+        rig.line.ask("II")
+    assert rig.clock() - began_s < 2 * (0.1 + 0.02 + 0.005) + 0.01  # twice: reply, late, one step
+    with pytest.raises(Refused, match="emergency stop"):
+        rig.laser.off()
+    assert rig.clock() - began_s < 5 * 0.13 + 0.01
+
+
 def test_the_guards_words_put_the_laser_out_and_find_the_answers() -> None:
     """The guard knows no protocol: bytes, and patterns in what comes; a command broke off here."""
     rig = Rig()

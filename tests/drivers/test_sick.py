@@ -128,6 +128,18 @@ def test_a_read_that_takes_longer_than_a_look_goes_on_with_the_next() -> None:
     assert len(profile.points_mm) > 20
 
 
+def test_a_caller_that_was_away_finds_the_answer_and_loses_nothing() -> None:
+    rig = Rig()
+    profile = None
+    while profile is None:
+        try:
+            profile = rig.taken(0.02)
+        except NoReply:
+            rig.wire.sleep(0.3)  # longer than any answer's time
+    assert profile.counts.tolist() == Rig().taken().counts.tolist()
+    assert rig.profiler.tally() == Tally(profiles=1)
+
+
 def test_a_discarded_read_begins_anew_and_its_late_answer_is_nobodys() -> None:
     rig = Rig()
     with pytest.raises(NoReply):
@@ -173,6 +185,24 @@ def test_nobody_answers_then_the_line_rests_until_the_sensor_forgets() -> None:
     first_s, second_s = device.asked_s
     assert second_s - first_s >= FORGETS_S
     assert rig.clock() - second_s < 0.06  # 10 requests of 16 bytes at 115200 and 50 ms
+
+
+class Babbling:
+    """A line on which something else never stops."""
+
+    def receive(self, data: bytes, now_s: float) -> bytes:
+        return b""
+
+    def tick(self, now_s: float) -> bytes:
+        return b"U"
+
+
+def test_a_line_that_is_never_quiet_is_an_error_within_seconds() -> None:
+    rig = Rig(wrap=lambda _: Babbling())
+    began_s = rig.clock()
+    with pytest.raises(FrameError, match="never quiet"):
+        rig.profiler.identify()
+    assert rig.clock() - began_s < 0.1 + FORGETS_S + 1.1
 
 
 def test_no_request_is_written_while_an_answer_may_come() -> None:
