@@ -25,6 +25,8 @@ TIERS = {
     "baumer_ox": Tier.MANUAL_FRAMES,
     "riftek": Tier.THIRD_PARTY_CODE,
     "register_profiler": Tier.INFERRED,
+    "hokuyo": Tier.MANUAL_FRAMES,
+    "sick": Tier.INFERRED,
     "relay": Tier.INFERRED,
 }
 
