@@ -84,7 +84,7 @@ def test_a_profiler_that_does_not_answer_is_named_before_anything_is_lit(profile
         assert '"laser"' not in station.witness.read_text()
 
 
-def test_a_riftek_is_set_up_as_the_station_says_and_its_lost_datagrams_are_counted(
+def test_a_riftek_is_set_up_as_the_station_says_and_measures_on_a_lossy_network(
     tmp_path: Path,
 ) -> None:
     with blade("riftek", faults="drop-blocks=5") as station:
