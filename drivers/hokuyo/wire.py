@@ -200,8 +200,9 @@ class Decoder:
 def _found(lines: Sequence[bytes]) -> Message:
     """Find the reply that ends a run of lines; noise, or one that broke off, may stand before it.
 
-    A line of data can look like an echo, with a tag only by a chance of less than one in 10**8: so
-    the last one with a tag is the echo, and without any tag the first.
+    A line of data can look like an echo, if one of two characters follows it: with a tag by a chance
+    below 1e-5, and then the scan is a stray and is asked for again. So the last one with a tag is the
+    echo, and without any tag the first.
     """
     sound = [reply for at in range(len(lines) - 1) if (reply := _reply(lines[at:]))]
     tagged = [reply for reply in sound if ";" in reply.echo]
