@@ -200,7 +200,8 @@ class Decoder:
 def _found(lines: Sequence[bytes]) -> Message:
     """Find the reply that ends a run of lines; noise, or one that broke off, may stand before it.
 
-    A line of data can look like an echo, with a tag only by a chance of less than one in 10**8: so
+    The last full line of a scan can look like an echo with a tag, and a rest of two characters
+    like its status, by a chance below 1e-5; then that scan is a stray and is asked for again. So
     the last one with a tag is the echo, and without any tag the first.
     """
     sound = [reply for at in range(len(lines) - 1) if (reply := _reply(lines[at:]))]
