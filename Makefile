@@ -14,7 +14,7 @@ help:
 	@echo "make check   ruff, format, mypy, import contracts"
 	@echo "make paper   reproduce the paper's figures into docs/paper/"
 	@echo "make bench   tables of speed, beside the peers"
-	@echo "make safety  stop scans at random instants; how long laser and axes took (a quarter of an hour)"
+	@echo "make safety  end programs in every way at random instants; how long laser and axes took (an hour)"
 
 setup: $(READY)
 

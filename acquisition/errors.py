@@ -7,6 +7,9 @@
     ├── DamagedSlice(OSError)     a slice file is not what was written; it is never deleted
     ├── AlreadyKept               the slice is in the folder: nothing is taken twice
     ├── Stopped                   the operator stopped amid a slice
+    ├── NotNow                    the station's state does not allow it; nothing was begun
+    ├── InputTripped              emergency stop, interlock or key: a person leads out of it
+    ├── GuardLost                 the process that would turn the laser off is gone: nothing is lit
     ├── ZeroLost                  only a person can find the table's angle again
     └── LeaseLapsed               the laser was on and nobody renewed: it is off again
 
@@ -46,6 +49,22 @@ class Stopped(AcquisitionError):  # noqa: N818
 
 class ZeroLost(AcquisitionError):  # noqa: N818
     """The angles of the slices that are kept cannot be found again without a person."""
+
+
+class NotNow(AcquisitionError):  # noqa: N818
+    """The station's state does not allow it; nothing was begun."""
+
+
+class InputTripped(AcquisitionError):  # noqa: N818
+    """The hardware's safety chain is open; `event` names what of it."""
+
+    def __init__(self, message: str, event: str) -> None:
+        super().__init__(message)
+        self.event = event
+
+
+class GuardLost(AcquisitionError):  # noqa: N818
+    """The guard did not start, or is gone: without it nothing is lit."""
 
 
 class LeaseLapsed(AcquisitionError):  # noqa: N818

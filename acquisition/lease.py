@@ -5,8 +5,9 @@ A loop that hangs renews nothing: a thread that renewed for it would hide just t
     lease      renew   renew   renew ......... lapsed
     laser  ____/~~~~~~~~~~~~~~~~~~~~~~~~~~~~~~~\____  off at the next look, and LeaseLapsed
 
-Software can only look when it runs. What covers a program that is dead is the switch's own
-watchdog, whose promise `drivers.laser.Guarantee` spells out.
+Software can only look when it runs. Over a program that is dead or hangs watches a process of its
+own, `acquisition.safety.guard`, which is told of every renewal; over that one, and a machine
+without power, the switch's own watchdog, whose promise `drivers.laser.Guarantee` spells out.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from acquisition.errors import LeaseLapsed
+from acquisition.safety.guarding import Guard, NoGuard
 from drivers.axis import Pause
 from drivers.endings import at_last
 from drivers.laser import LaserSwitch
@@ -30,13 +32,18 @@ class Lease:
     ----------
     clock
         Monotonic seconds.
+    guard
+        Who is told, and acts when it lapses while the laser is on.
     """
 
-    def __init__(self, ttl_s: float, clock: Callable[[], float]) -> None:
+    def __init__(
+        self, ttl_s: float, clock: Callable[[], float], guard: Guard | None = None
+    ) -> None:
         if not ttl_s > 0.0:
             raise ValueError(f"lease: a time to live of {ttl_s} s; it must be above 0")
         self.ttl_s = ttl_s
         self._clock = clock
+        self._guard = NoGuard() if guard is None else guard
         self._renewed_s: float | None = None
 
     @property
@@ -47,6 +54,22 @@ class Lease:
     def renew(self) -> None:
         """Begin the time to live anew; lapsed or not, since with the laser off it may lapse."""
         self._renewed_s = self._clock()
+        self._guard.renew(self.ttl_s)
+
+    def take(self) -> None:
+        """Begin it for the laser: from now on its end has consequences.
+
+        Raises
+        ------
+        GuardLost
+            Nobody would turn the laser off: it is not lit.
+        """
+        self._guard.take(self.ttl_s)
+        self.renew()
+
+    def give_back(self) -> None:
+        """The laser was read back as off: nothing hangs on the lease any more."""
+        self._guard.give_back()
 
 
 @contextmanager
@@ -73,8 +96,12 @@ def lasing(laser: LaserSwitch, lease: Lease) -> Iterator[Callable[[], None]]:
         laser.on()
         _must_be_valid(lease)  # a program that was stopped just there has lit it late
 
-    with at_last(laser.off):
-        lease.renew()
+    def dark() -> None:
+        laser.off()
+        lease.give_back()  # not where off failed: then the guard tries, too
+
+    with at_last(dark):
+        lease.take()
         laser.on()
         _must_be_valid(lease)
         lease.renew()

@@ -2,8 +2,8 @@
 
 ::
 
-    way in    laser: link, off, its watchdog  >  table  >  stage  >  profiler
-    way out   laser off  <  stage stops  <  table stops  <  laser off again  <  its link closes
+    way in    guard  >  laser: link, off, its watchdog  >  table  >  stage  >  profiler
+    way out   laser off  <  stage stops  <  table stops  <  laser off again  <  links  <  guard
 
 The first bytes to the laser are off. Every way out is gone to its end: what fails there does not
 keep the rest from being done, the first error is the one that is raised, the others are its notes.
@@ -12,44 +12,38 @@ Opening moves nothing, and asks only the laser's switch anything.
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, replace
 
-from acquisition.station import (
-    BaumerOx,
-    GrblTable,
-    LeadshineModel,
-    LeadshineStage,
-    NoLaserSwitch,
-    OutputBy,
-    RelayFamily,
-    RelayLaser,
-    Station,
-    TableZero,
-)
-from drivers import baumer_ox, grbl, leadshine, relay
+from acquisition.axes import stage_maker, table_maker
+from acquisition.lease import TTL_S, Lease
+from acquisition.ports import check_ports
+from acquisition.profilers import profiler_maker
+from acquisition.safety.guarding import AttendedLink, Guard, first_word_s, guarded
+from acquisition.safety.places import Place, places_of
+from acquisition.safety.states import Event, Rules, State
+from acquisition.safety.supervising import PermittedLaser, Supervisor
+from acquisition.safety.switches import switch_of
+from acquisition.station import NoLaserSwitch, Station
+from drivers import zaber
 from drivers.addresses import SerialAddress, TcpAddress, UdpAddress, parse_address
-from drivers.axis import Axis, Identity, Kind
+from drivers.axis import Axis
 from drivers.endings import at_last, unless_done
-from drivers.laser import Guarantee, LaserSwitch
+from drivers.laser import Guarantee
 from drivers.links import ByteLink, open_link
 from drivers.modbus import Framing, ModbusBus, rtu_silence_s
 from drivers.profiler import Profiler
+from drivers.recipes import Recipe, Recited
 
 Clock = Callable[[], float]
 Sleep = Callable[[float], None]
+Guarding = Callable[[Sequence[Place], Sleep], AbstractContextManager[Guard]]
+_Address = SerialAddress | TcpAddress | UdpAddress
 
-# One degree written in two ways is two numbers: a stop at the very limit is inside it.
-_ROUNDING_RAD = 1e-9
 _REPLY_S = {Framing.RTU: 0.2, Framing.TCP: 0.5}  # a network's worst is worse than a cable's
 _SLOWEST_REPLY_S = {Framing.RTU: 0.3, Framing.TCP: 0.5}
-_MODELS = {
-    LeadshineModel.EM2RS: leadshine.Model.EM,
-    LeadshineModel.CS2RS: leadshine.Model.CS2RS,
-}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,10 +54,14 @@ class OpenStation:
     table: Axis
     stage: Axis
     profiler: Profiler
-    laser: LaserSwitch
+    laser: PermittedLaser
     guarantee: Guarantee  # what the laser's switch promised when it was opened
     clock: Clock
     sleep: Sleep
+    lease: Lease
+    guard: Guard
+    guarded: Mapping[str, float]  # by device: s from a death or a hang to the guard's word to it
+    safety: Supervisor
 
 
 @contextmanager
@@ -73,6 +71,7 @@ def open_station(
     clock: Clock = time.monotonic,
     sleep: Sleep = time.sleep,
     links: Callable[[str], ByteLink] = open_link,
+    guarding: Guarding = guarded,
 ) -> Iterator[OpenStation]:
     """Open every device; laser off, axes stopped and links closed on every way out.
 
@@ -82,6 +81,8 @@ def open_station(
         Monotonic seconds, and how to let some pass.
     links
         Opens an address; a wire log or a test's loopbacks come in here.
+    guarding
+        Starts who watches over this program, with the places that are to be its alone.
 
     Raises
     ------
@@ -89,105 +90,155 @@ def open_station(
         The station holds what a driver cannot do; nothing has been opened.
     DriverError
         A device is not there or said no; names it.
+    GuardLost
+        It could not be started.
     """
-    table_settings = grbl_settings(station.table)
-    stage_settings = leadshine_settings(station.stage)
-    profiler_settings = baumer_ox_settings(station.profiler)
+    check_ports(station)
+    make_table, make_stage = table_maker(station.table), stage_maker(station.stage)
+    make_profiler = profiler_maker(station.profiler)
+    safety = _supervisor(station, clock)
     with ExitStack() as endings:
-        wires = _Wires(links, clock, sleep, endings)
-        laser = _laser(station.laser, wires)
+        endings.callback(safety.tell, Event.CLOSE)
+        guard = endings.enter_context(guarding(places_of(_addresses(station)), sleep))
+        wires = _Wires(links, clock, sleep, endings, guard, safety, _roles(station))
+        switch, inputs = switch_of(station.laser, wires)
+        laser = PermittedLaser(switch, safety)
         endings.enter_context(at_last(laser.off))
         laser.off()
         guarantee = laser.guarantee()
-        table = grbl.GrblAxis(wires.link(station.table.address), table_settings, clock=clock)
+        wires.hand_over(switch, getattr(station.laser, "address", ""))
+        safety.watch(inputs)
+        table = make_table(wires)
         endings.enter_context(at_last(table.stop))
-        bus = wires.bus(station.stage.address)
-        stage = leadshine.LeadshineStage(bus, station.stage.device_id, stage_settings, clock=clock)
+        wires.hand_over(table, station.table.address)
+        stage = make_stage(wires)
         endings.enter_context(at_last(stage.stop))
-        profiler = _profiler(station.profiler, profiler_settings, wires)
+        wires.hand_over(stage, station.stage.address)
+        profiler = make_profiler(wires)
+        wires.hand_over(profiler, station.profiler.address)
         endings.enter_context(at_last(laser.off))  # before the axes, which may take their time
-        yield OpenStation(station, table, stage, profiler, laser, guarantee, clock, sleep)
+        lease = Lease(TTL_S, clock, guard)
+        endings.enter_context(_telling(safety))  # the first to hear, and nothing is lit after
+        yield OpenStation(
+            station, table, stage, profiler, laser, guarantee, clock, wires.sleep, lease, guard,
+            wires.guarded, safety,
+        )  # fmt: skip
 
 
 @contextmanager
 def at_rest_unless_done(station: OpenStation) -> Iterator[None]:
     """Laser off, then the axes stopped, if the block is left by anything but its end."""
     table, stage, laser = station.table, station.stage, station.laser
-    with unless_done(table.stop), unless_done(stage.stop), unless_done(laser.off):
+    with (
+        _standing_after(station.safety),
+        unless_done(table.stop),
+        unless_done(stage.stop),
+        unless_done(laser.off),
+        _telling(station.safety),
+    ):
         yield
 
 
-def grbl_settings(table: GrblTable) -> grbl.Settings:
-    """Degrees of the file to radians of the driver."""
-    switch = table.zero is TableZero.SWITCH
-    return grbl.Settings(
-        name="table",
-        kind=Kind.ROTARY,
-        letter=table.letter.value,
-        steps_per_unit=table.steps_per_deg,
-        lower=math.radians(table.lowest_deg) - _ROUNDING_RAD,
-        upper=math.radians(table.highest_deg) + _ROUNDING_RAD,
-        speed=math.radians(table.speed_deg_s),
-        tolerance=math.radians(table.tolerance_deg),
-        homing=grbl.Homing.SWITCH if switch else grbl.Homing.SOFTWARE_ZERO,
-        home_position=math.radians(table.zero_deg),
-        backlash=math.radians(table.backlash_deg),
-    )
+@contextmanager
+def _telling(safety: Supervisor) -> Iterator[None]:
+    """Whatever passes here is told to the state machine before anybody acts on it."""
+    try:
+        yield
+    except BaseException as error:
+        safety.fail(error)
+        raise
 
 
-def leadshine_settings(stage: LeadshineStage) -> leadshine.StageSettings:
-    """Names of the file to what the drive's registers mean by them."""
-    return leadshine.StageSettings(
-        model=_MODELS[stage.model],
-        pulses_per_rev=stage.pulses_per_turn,
-        lead_mm=stage.screw_lead_mm,
-        low_mm=stage.lowest_mm,
-        high_mm=stage.highest_mm,
-        speed_mm_s=stage.speed_mm_s,
-        tolerance_mm=stage.tolerance_mm,
-        homing=leadshine.Homing(
-            method=leadshine.HomingMethod[stage.home_mark.name],
-            sense=leadshine.HomingSense[stage.home_way.value.upper()],
-            fast_mm_s=stage.home_fast_mm_s,
-            slow_mm_s=stage.home_slow_mm_s,
-            reference_mm=stage.home_position_mm,
-        ),
-        acceleration_ms=stage.ramp_ms_per_1000_rpm,
-        deceleration_ms=stage.ramp_ms_per_1000_rpm,
-    )
+@contextmanager
+def _standing_after(safety: Supervisor) -> Iterator[None]:
+    """A stop that was gone to its end has stopped; drivers know whether they know where."""
+    try:
+        yield
+    except BaseException:
+        if safety.state in (State.STOPPING, State.COMPLETING):
+            safety.tell(Event.STANDS)
+        raise
 
 
-def baumer_ox_settings(profiler: BaumerOx) -> baumer_ox.Settings:
-    """Scales that the sensor itself does not tell."""
-    return baumer_ox.Settings(
-        x_mm_per_count=profiler.x_mm_per_count,
-        z_mm_per_count=profiler.z_mm_per_count,
-        x_offset_mm=profiler.x_offset_mm,
-        z_offset_mm=profiler.z_offset_mm,
-        device_id=profiler.device_id,
-    )
+def _supervisor(station: Station, clock: Clock) -> Supervisor:
+    """The state machine of a station whose file has been read."""
+    safety = Supervisor(clock, Rules(warning_s=getattr(station.laser, "warning_s", 0.0)))
+    safety.tell(Event.SELF_TESTED)
+    safety.ask(Event.CONNECT)
+    return safety
 
 
 class _Wires:
-    """Each link opened once and closed on the way out; devices at one address share its bus."""
+    """Each link opened once and closed on the way out; devices at one address share its bus.
+
+    Whoever reads or sleeps here is alive: the guard is told.
+    """
 
     def __init__(
-        self, links: Callable[[str], ByteLink], clock: Clock, sleep: Sleep, endings: ExitStack
+        self,
+        links: Callable[[str], ByteLink],
+        clock: Clock,
+        sleep: Sleep,
+        endings: ExitStack,
+        guard: Guard,
+        safety: Supervisor,
+        roles: Mapping[_Address, str],
     ) -> None:
         self.clock = clock
-        self.sleep = sleep
+        self.guarded: dict[str, float] = {}
+        self._sleep = sleep
         self._links = links
         self._endings = endings
-        self._buses: dict[SerialAddress | TcpAddress | UdpAddress, ModbusBus] = {}
+        self._guard = guard
+        self._safety = safety
+        self._roles = roles
+        self._opened: dict[_Address, ByteLink] = {}
+        self._recipes: dict[_Address, tuple[Recipe, ...]] = {}
+        self._buses: dict[_Address, ModbusBus] = {}
+        self._chains: dict[_Address, zaber.Chain] = {}
+
+    def sleep(self, seconds: float) -> None:
+        """Let some time pass; 50 ms at most between two renewals."""
+        self._sleep(seconds)
+        self._guard.attend()
 
     def link(self, address: str) -> ByteLink:
-        link = self._links(address)
+        """Open an address."""
+        link = self.brief_link(address)
         self._endings.enter_context(at_last(link.close))
+        self._opened[_place(address)] = link
         return link
+
+    def brief_link(self, address: str) -> AttendedLink:
+        """Open an address for somebody who closes it."""
+        role = self._roles.get(_place(address), "sensor")
+
+        def lost() -> None:
+            self._safety.lost_role = role
+
+        return AttendedLink(self._links(address), self._guard, lost)
+
+    def chain(self, address: str) -> zaber.Chain:
+        """A chain of Zaber devices; both axes may be on one."""
+        place = replace(parse_address(address), text="")
+        if place not in self._chains:
+            self._chains[place] = zaber.Chain(self.link(address), clock=self.clock)
+        return self._chains[place]
+
+    def hand_over(self, device: object, address: str) -> None:
+        """Give the guard what it must know of a device to bring it to rest."""
+        if not isinstance(device, Recited):
+            return
+        place, recipes = _place(address), device.recipes()
+        self._recipes[place] = (*self._recipes.get(place, ()), *recipes)
+        if self._guard.hold(self._opened[place], self._recipes[place]):
+            self.guarded |= {
+                each.device: first_word_s(TTL_S, each.quiet_s, each.wire_s) for each in recipes
+            }
 
     def bus(self, address: str) -> ModbusBus:
         """Modbus RTU on a serial port, Modbus TCP over TCP."""
-        place = replace(parse_address(address), text="")  # however it is spelled
+        place = _place(address)
         if place not in self._buses:
             serial = isinstance(place, SerialAddress)
             framing = Framing.RTU if serial else Framing.TCP
@@ -197,58 +248,26 @@ class _Wires:
                 timeout_s=_REPLY_S[framing],
                 slowest_reply_s=_SLOWEST_REPLY_S[framing],
                 silence_s=rtu_silence_s(place.baud) if isinstance(place, SerialAddress) else 0.0,
+                baud=place.baud if isinstance(place, SerialAddress) else 9600,
                 clock=self.clock,
                 sleep=self.sleep,
             )
         return self._buses[place]
 
 
-def _profiler(settings: BaumerOx, scales: baumer_ox.Settings, wires: _Wires) -> baumer_ox.BaumerOx:
-    bus, link = wires.bus(settings.address), wires.link(settings.profiles)
-    profiler = baumer_ox.BaumerOx(bus, link, scales, clock=wires.clock)
-    if settings.setup is not None:
-        profiler.load_setup(settings.setup, wires.sleep)
-    return profiler
+def _place(address: str) -> _Address:
+    """An address however it is spelled."""
+    return replace(parse_address(address), text="")
 
 
-def _laser(settings: RelayLaser | NoLaserSwitch, wires: _Wires) -> LaserSwitch:
-    if isinstance(settings, NoLaserSwitch):
-        return _Unswitched()
-    by_coil = settings.output_by is OutputBy.COIL
-    if settings.family is RelayFamily.PLAIN and not by_coil:
-        raise ValueError('laser.output_by: a plain relay has coils only; write "coil"')
-    bus, device_id = wires.bus(settings.address), settings.device_id
-    if settings.family is RelayFamily.PLAIN:
-        return relay.PlainRelay(
-            bus, device_id, settings.output, clock=wires.clock, sleep=wires.sleep
-        )
-    return relay.WatchedBlock(
-        bus,
-        device_id,
-        relay.Coil(settings.output) if by_coil else relay.OutputBit(settings.output),
-        watchdog_s=settings.watchdog_s or 0.0,
-        clock=wires.clock,
-        sleep=wires.sleep,
-    )
+def _roles(station: Station) -> dict[_Address, str]:
+    """What it means for the station when a link is lost; the laser's before all others."""
+    roles = {_place(each.address): "axis" for each in (station.table, station.stage)}
+    if not isinstance(station.laser, NoLaserSwitch):
+        roles[_place(station.laser.address)] = "laser"
+    return roles
 
 
-class _Unswitched:
-    """No switch: the laser is on while the sensor has power, and nobody claims otherwise."""
-
-    def identify(self) -> Identity:
-        return Identity(family="none", model="no laser switch", firmware="")
-
-    def guarantee(self) -> Guarantee:
-        return Guarantee(
-            None,
-            "laser: nothing switches it; it is on while the sensor has power: stay at the station",
-        )
-
-    def on(self) -> None:
-        """Nothing to do."""
-
-    def off(self) -> None:
-        """Nothing that could be done."""
-
-    def is_on(self) -> bool:
-        return True
+def _addresses(station: Station) -> list[str]:
+    tables = (station.table, station.stage, station.profiler, station.laser)
+    return [each.address for each in tables if not isinstance(each, NoLaserSwitch)]

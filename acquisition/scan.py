@@ -26,11 +26,14 @@ from enum import Enum
 import numpy as np
 
 from acquisition.errors import LeaseLapsed, Stopped, ZeroLost
-from acquisition.lease import LONGEST_WAIT_S, TTL_S, Lease, lasing, pausing
+from acquisition.lease import LONGEST_WAIT_S, lasing, pausing
 from acquisition.opening import OpenStation, at_rest_unless_done
 from acquisition.plan import Plan, Target, check_plan, targets
 from acquisition.poses import Pose, Sweep
-from acquisition.station import BaumerOx, TableZero
+from acquisition.profilers import lost_profile
+from acquisition.safety.leading import arm, begin_homing, homed, known
+from acquisition.safety.states import Event, State
+from acquisition.station import GrblTable, TableZero
 from drivers.axis import Axis, AxisState, Motion
 from drivers.errors import NoReply, Refused
 from drivers.profiler import Profile, Reason
@@ -134,21 +137,6 @@ def scan(
     return _Scan(station, plan, stop, part, progress).sweeps(taken)
 
 
-def lost_profile(settings: BaumerOx) -> Profile:
-    """Stand in for a profile that never came: its places, every one of them LOST."""
-    points = settings.points_per_profile
-    return Profile(
-        counts=np.zeros((points, 2), np.int32),
-        scale_mm=(settings.x_mm_per_count, settings.z_mm_per_count),
-        offset_mm=(settings.x_offset_mm, settings.z_offset_mm),
-        reasons=np.full(points, Reason.LOST, np.uint8),
-        intensity=np.empty(0, np.uint16),
-        sensor_time_s=0.0,
-        encoder=0,
-        frame=-1,
-    )
-
-
 class _Scan:
     """One run over some slices: the devices, the lease, and what was lost on the way."""
 
@@ -165,22 +153,37 @@ class _Scan:
         self._stop = stop
         self._part = part
         self._progress = progress
-        self._lease = Lease(TTL_S, station.clock)
-        self._pause = pausing(self._lease, stop.look, station.sleep)
+        self._lease = station.lease
+        self._pause = pausing(self._lease, self._look, station.sleep)
         self._patience_s = _PATIENCE_S + 3.0 / station.settings.profiler.rate_hz
         self._lost_profiles = 0
         self._lost_in_a_row = 0
 
     def sweeps(self, wanted: list[Target]) -> Generator[Sweep]:
-        for done, target in enumerate(wanted):
-            if self._stop.wish is Wish.PAUSE:
-                return
-            with at_rest_unless_done(self._station):
-                self._stop.look()
-                if not done:
-                    self._prepare(resumed=len(wanted) < self._plan.ring.count)
-                sweep = self._sweep(target, done, len(wanted))
-            yield sweep
+        """Take them, one after the other; the state machine is told of all that happens."""
+        safety = self._station.safety
+        try:
+            for done, target in enumerate(wanted):
+                if self._stop.wish is Wish.PAUSE:
+                    return
+                with at_rest_unless_done(self._station):
+                    self._look()
+                    if not done:
+                        self._prepare(resumed=len(wanted) < self._plan.ring.count)
+                    sweep = self._sweep(target, done, len(wanted))
+                if done == len(wanted) - 1:
+                    # What this asks for was done with the slice: dark, read back, and standing.
+                    safety.tell(Event.COMPLETE)
+                    safety.tell(Event.STANDS)
+                yield sweep
+        finally:
+            if safety.state is State.SCANNING:
+                safety.ask(Event.PAUSE)
+
+    def _look(self) -> None:
+        """Raise what ends the scan: the operator's wish, or the hardware's safety chain."""
+        self._stop.look()
+        self._station.safety.look()
 
     def _prepare(self, *, resumed: bool) -> None:
         """Laser off, everybody who they should be, both axes standing and homed."""
@@ -188,16 +191,24 @@ class _Scan:
         station.laser.off()
         for device in (station.laser, station.profiler, station.table, station.stage):
             device.identify()
+        known(station)
         for axis in (station.stage, station.table):
             self._bring_to_rest(axis)
         if resumed and not station.table.state().homed:
             self._must_know_the_zero()
+        begin_homing(station)
         for axis in (station.stage, station.table):
             if not axis.state().homed:
                 axis.home(self._pause)
+        homed(station)
+        station.safety.ask(Event.VALIDATE)
+        station.safety.tell(Event.VALIDATED)  # before anything was opened: `check_plan`
+        arm(station, self._pause)
+        station.safety.ask(Event.START)
 
     def _must_know_the_zero(self) -> None:
-        software = self._station.settings.table.zero is TableZero.SOFTWARE_ZERO
+        table = self._station.settings.table
+        software = isinstance(table, GrblTable) and table.zero is TableZero.SOFTWARE_ZERO
         if software and self._part is not PartStands.AT_ZERO:
             raise ZeroLost(
                 "table: its software zero is forgotten, so that new slices would be turned against"
@@ -268,7 +279,7 @@ class _Scan:
             station.profiler.discard()
             deadline_s = station.clock() + self._patience_s
             while True:
-                self._stop.look()
+                self._look()
                 try:
                     return next(station.profiler.profiles(_LOOK_S))
                 except NoReply as silence:

@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import Annotated, ClassVar
 
 from acquisition.frames import Kinematics
+from acquisition.motion_settings import AzStage, AzTable, ZaberStage, ZaberTable
+from acquisition.profiler_settings import BannerEzArray, RegisterProfiler, Riftek
 from acquisition.settings import Key, commented_toml, parse_settings, read_settings
 from drivers.addresses import parse_address
 
@@ -24,6 +26,16 @@ A key that is not known here is an error, so that a slip of the pen is never sil
 
 def _reached(meaning: str, starts: tuple[str, ...]) -> Key:
     return Key(meaning, starts=starts, parse=parse_address)
+
+
+def _chain(what: str) -> Key:
+    meaning = f"the block's input that {what} closes while all is well; absent: not wired"
+    return Key(meaning, at_least=0, at_most=15)
+
+
+_WARNING = Key(
+    "told before the laser may be lit; 0 where nobody stands", at_least=0.0, at_most=60.0
+)
 
 
 class GrblLetter(Enum):
@@ -58,6 +70,7 @@ class HomeMark(Enum):
     HOME_SWITCH = "home switch"
     INDEX_PULSE = "index pulse"
     TORQUE = "torque"
+    HERE = "here"  # nothing: where it stands when it is homed
 
 
 class HomeWay(Enum):
@@ -79,6 +92,7 @@ class RelayFamily(Enum):
 
     TURCK = "turck"  # an I/O block with a communication watchdog
     PLAIN = "plain"  # a relay without one
+    TIMED = "timed"  # a relay that can be switched on for a time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,7 +138,7 @@ class LeadshineStage:
     pulses_per_turn: Annotated[int, Key("as set in the drive", at_least=200, at_most=51200)]
     screw_lead_mm: Annotated[float, Key("travel of one turn of the motor", above=0.0)]
     speed_mm_s: Annotated[float, Key("of moves", above=0.0)]
-    home_mark: Annotated[HomeMark, Key("limit switch, home switch, index pulse or torque")] = (
+    home_mark: Annotated[HomeMark, Key("limit switch, home switch, index pulse, torque, here")] = (
         HomeMark.LIMIT_SWITCH
     )
     home_way: Annotated[HomeWay, Key("negative or positive: where it looks first")] = HomeWay.DOWN
@@ -170,7 +184,10 @@ class RelayLaser:
 
     SELECTOR: ClassVar = "switch"
     switch: ClassVar = "relay"
-    family: Annotated[RelayFamily, Key("turck (with a watchdog of its own) or plain (without)")]
+    family: Annotated[
+        RelayFamily,
+        Key("turck (with a watchdog of its own), plain (without) or timed (on for 0.3 s)"),
+    ]
     address: Annotated[str, _reached("the relay's Modbus", _SERIAL_OR_TCP)]
     device_id: Annotated[int, Key("the relay's Modbus id", at_least=0, at_most=247)] = 1
     output_by: Annotated[OutputBy, Key("coil or register bit: how outputs are addressed")] = (
@@ -185,14 +202,36 @@ class RelayLaser:
             at_most=10.0,
         ),
     ] = None
+    warning_s: Annotated[float, _WARNING] = 3.0
+    estop_input: Annotated[int | None, _chain("the emergency stop")] = None
+    interlock_input: Annotated[int | None, _chain("the interlock or door")] = None
+    key_input: Annotated[int | None, _chain("the key switch")] = None
 
     def __post_init__(self) -> None:
+        chain = {"estop_input": self.estop_input, "interlock_input": self.interlock_input,
+                 "key_input": self.key_input}  # fmt: skip
+        wired = [name for name, number in chain.items() if number is not None]
+        if wired and self.family is not RelayFamily.TURCK:
+            raise ValueError(f"{wired[0]}: a {self.family.value} relay has none; remove the key")
         if self.output_by is OutputBy.REGISTER_BIT and self.output > 15:
             raise ValueError(f"output: {self.output}: a register has the bits 0 to 15")
-        if self.family is RelayFamily.PLAIN and self.watchdog_s is not None:
-            raise ValueError("watchdog_s: a plain relay has none; remove the key")
+        if self.family is not RelayFamily.TURCK and self.watchdog_s is not None:
+            raise ValueError(f"watchdog_s: a {self.family.value} relay has none; remove the key")
         if self.family is RelayFamily.TURCK and self.watchdog_s is None:
             raise ValueError("watchdog_s is missing; add watchdog_s = 0.25")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GrblLaser:
+    """The spindle output of a Grbl board of its own in the sensor's interlock or supply line."""
+
+    SELECTOR: ClassVar = "switch"
+    switch: ClassVar = "grbl"
+    address: Annotated[str, _reached("the board's port", _SERIAL_OR_TCP)]
+    warning_s: Annotated[float, _WARNING] = 3.0
+    safety_pins: Annotated[
+        bool, Key("true: its reset pin is the emergency stop's, its door pin the interlock's")
+    ] = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -203,17 +242,22 @@ class NoLaserSwitch:
     switch: ClassVar = "none"
 
 
+TableSettings = GrblTable | ZaberTable | AzTable
+StageSettings = LeadshineStage | ZaberStage | AzStage
+ProfilerSettings = BaumerOx | Riftek | RegisterProfiler | BannerEzArray
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Station:
     """Everything station.toml says."""
 
     name: Annotated[str, Key("for reports")] = "station"
-    table: Annotated[GrblTable, Key("what turns the part")]
-    stage: Annotated[LeadshineStage, Key("what lifts the laser plane or the part")]
-    profiler: Annotated[BaumerOx, Key("what measures")]
+    table: Annotated[TableSettings, Key("what turns the part")]
+    stage: Annotated[StageSettings, Key("what lifts the laser plane or the part")]
+    profiler: Annotated[ProfilerSettings, Key("what measures")]
     laser: Annotated[
-        RelayLaser | NoLaserSwitch,
-        Key('what switches the laser: "relay", or "none" (then no unattended runs)'),
+        RelayLaser | GrblLaser | NoLaserSwitch,
+        Key('what switches the laser: "relay", "grbl", or "none" (then no unattended runs)'),
     ]
     kinematics: Annotated[Kinematics, Key("how axes and sensor stand; see docs/frames.md")]
 

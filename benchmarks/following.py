@@ -55,7 +55,8 @@ def paced(source: Path, period_s: float, place: Path) -> Live:
     writer = get_context("spawn").Process(target=append_slowly, args=(source, copy, period_s))
     writer.start()
     try:
-        return _live(["reconstruct", copy, "--follow", "--out", place / "paced", "--json"])
+        words = ["reconstruct", copy, "--follow", "--method", "paper"]
+        return _live([*words, "--out", place / "paced", "--json"])
     finally:
         writer.join()
 

@@ -42,6 +42,7 @@ from reconstruction import fit_pipeline
 from reconstruction.cleanup import CleanupSettings
 from reconstruction.course import OF_A_CLOUD
 from reconstruction.fitting.curve import Exact
+from reconstruction.nurbs import Surface, evaluate_surface_at
 from reconstruction.skinning import skin, surfacing, tensor_fit
 from reconstruction.slices import Frame, Slice
 
@@ -160,22 +161,31 @@ def run(name: str, slices: int, points: int, exact: Exact) -> dict[str, Any]:
         "after_cpu_s": time.process_time() - cpu,
         "parts_s": dict(watch.seconds),
         "rounds": rounds,
-        "nets": [list(each.fit.net.control_mm.shape[:2]) for each in made.skinned.skins],
-        "edf": [each.fit.edf for each in made.skinned.skins],
-        "off_mm": off_mm(name, made.skinned.skins[0]),
+        "nets": [list(each.surface.control_points_mm.shape[:2]) for each in made.skinned.skins],
+        "edf": [
+            each.fit.edf if isinstance(each, skin.Skin) else each.shape.freedom
+            for each in made.skinned.skins
+        ],
+        "off_mm": off_mm(name, made.skinned.skins[0].surface),
         "while_drawing_mb": while_drawing,
         "above_imports_mb": status_mb("VmHWM") - resident,
     }
 
 
-def off_mm(name: str, found: skin.Skin) -> float:
+def off_mm(name: str, surface: Surface) -> float:
     """Root mean square distance, along radii, of the surface from the truth."""
-    surface = found.fit.net.surface()
-    end_u, end_v = found.fit.net.spans
-    grid = np.meshgrid(np.arange(400) / 400 * end_u, np.linspace(0.02, 0.98, 200) * end_v)
-    from reconstruction.nurbs import evaluate_surface_at
-
-    x, y, z = evaluate_surface_at(surface, grid[0].ravel(), grid[1].ravel()).T
+    ends = [
+        (knots[degree], knots[-1 - degree])
+        for knots, degree in (
+            (surface.knots_u, surface.degree_u),
+            (surface.knots_v, surface.degree_v),
+        )
+    ]
+    shares = np.meshgrid(np.arange(400) / 400, np.linspace(0.02, 0.98, 200))
+    u, v = (
+        low + (high - low) * each.ravel() for each, (low, high) in zip(shares, ends, strict=True)
+    )
+    x, y, z = evaluate_surface_at(surface, u, v).T
     turn = np.arctan2(y, x)
     fine = np.linspace(-math.pi, math.pi, 40_001)
     bottom, added = (np.interp(turn, fine, each) for each in SHAPES[name](fine))

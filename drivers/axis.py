@@ -95,6 +95,16 @@ class Axis(Protocol):
         """
         ...
 
+    def jog_to(self, position: float, pause: Pause) -> AxisState:
+        """Move for a person at the bench: unhomed by one degree or millimetre at most.
+
+        Raises
+        ------
+        Refused
+            As `move_to`, or farther than that while not homed.
+        """
+        ...
+
     def stop(self) -> None:
         """Stop now, decelerating, position kept where the device can; allowed in every state."""
         ...

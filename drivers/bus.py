@@ -19,6 +19,19 @@ class Bus(Protocol):
         """The address of the link, for messages."""
         ...
 
+    def framed(self, device_id: int, pdu: bytes) -> bytes:
+        """A frame for somebody else to send or to expect, of a PDU."""
+        ...
+
+    def wire_s(self, size: int) -> float:
+        """Seconds that so many bytes take on the wire."""
+        ...
+
+    @property
+    def quiet_s(self) -> float:
+        """Silence after which nothing of a dead program is on its way any more."""
+        ...
+
     def read_holding(self, device_id: int, first: int, count: int) -> tuple[int, ...]:
         """Holding registers (function 3); exactly `count` unsigned 16-bit values."""
         ...
@@ -37,6 +50,10 @@ class Bus(Protocol):
 
     def write_registers(self, device_id: int, first: int, values: Sequence[int]) -> None:
         """Several registers in one frame (function 16)."""
+        ...
+
+    def write_coil_word(self, device_id: int, coil: int, word: int) -> None:
+        """Function 5 with a word of the device's own, beside on and off."""
         ...
 
     def write_coil(self, device_id: int, coil: int, value: bool) -> None:  # noqa: FBT001 (a coil is one)

@@ -33,6 +33,21 @@ def holders_of(device: str, *, processes: Path = Path("/proc")) -> tuple[Holder,
     )
 
 
+def holder_of(pid_text: str, *, processes: Path = Path("/proc")) -> Holder | None:
+    """The process of a number that a lock file names; None when it is dead, or dead but unburied.
+
+    A number that is none belongs to nobody.
+    """
+    if not (pid_text.isascii() and pid_text.isdecimal()):
+        return None
+    process = processes / pid_text
+    try:
+        state = (process / "stat").read_bytes().rpartition(b")")[2].split()[0]
+    except (OSError, IndexError):
+        return None
+    return None if state in (b"Z", b"X") else Holder(int(pid_text), _command(process))
+
+
 def _open_files(process: Path) -> Iterator[str]:
     try:
         for descriptor in (process / "fd").iterdir():

@@ -47,6 +47,13 @@ class ByteLink(Protocol):
         ...
 
 
+def descriptor_of(link: ByteLink) -> int | None:
+    """The open descriptor of a link, for a guard in another process; None where it has none."""
+    fileno = getattr(link, "fileno", None)
+    descriptor = None if fileno is None else fileno()
+    return descriptor if isinstance(descriptor, int) else None
+
+
 def open_link(address: str) -> ByteLink:
     """Open what the address says; `drivers.addresses` draws the forms.
 

@@ -14,10 +14,23 @@ class Tier(Enum):
     INFERRED = "inferred"
 
 
+_MEMBERS = {"registers": "register_profiler", "banner_ez_array": "register_profiler"}
+
 # By the folder of drivers/: a family has the tier of what a scan stands on.
 TIERS = {
     "grbl": Tier.THIRD_PARTY_CODE,
     "leadshine": Tier.MANUAL_FRAMES,
+    "oriental": Tier.MANUAL_FRAMES,
+    "zaber": Tier.THIRD_PARTY_CODE,
     "baumer_ox": Tier.MANUAL_FRAMES,
+    "riftek": Tier.THIRD_PARTY_CODE,
+    "register_profiler": Tier.INFERRED,
+    "hokuyo": Tier.MANUAL_FRAMES,
+    "sick": Tier.INFERRED,
     "relay": Tier.INFERRED,
 }
+
+
+def tier_of(family: str) -> Tier:
+    """Tier of a family as station.toml names it."""
+    return TIERS[_MEMBERS.get(family, family)]

@@ -20,7 +20,7 @@ from threading import Lock
 from typing import TextIO
 
 from drivers.errors import LinkLost
-from drivers.links import ByteLink
+from drivers.links import ByteLink, descriptor_of
 
 
 class Direction(Enum):
@@ -65,6 +65,10 @@ class LoggedLink:
     def address(self) -> str:
         """The address of the link inside."""
         return self._link.address
+
+    def fileno(self) -> int | None:
+        """The descriptor of the link inside: what a guard says on it is not written down here."""
+        return descriptor_of(self._link)
 
     def read(self, timeout_s: float) -> bytes:
         """Read, and write down what came."""

@@ -6,7 +6,7 @@ from collections import Counter
 
 from loftscan.spans import spans
 from reconstruction.fit_pipeline import FittedReconstruction
-from reconstruction.skinning.branch import Ending
+from reconstruction.skinning.branch import Branch, Ending
 from reconstruction.skinning.ends import Apex, Brim
 from reconstruction.skinning.exact_skins import AnySkin
 
@@ -15,7 +15,13 @@ _MOST = 8  # doubts that are said one by one
 
 def judge_branches(done: FittedReconstruction) -> list[str | None]:
     """Say what is doubtful about contours, branches, and how the part ends."""
-    return [done.skinned.wrapping or None, *_shortened(tell_doubts(done)), _runs(done), _ends(done)]
+    return [
+        done.skinned.wrapping or None,
+        *_shortened(tell_doubts(done)),
+        _runs(done),
+        _shoulders(done),
+        _ends(done),
+    ]
 
 
 def tell_doubts(done: FittedReconstruction) -> list[str]:
@@ -45,6 +51,29 @@ def _runs(done: FittedReconstruction) -> str | None:
         f"slices {spans(each.index for each in named)}: {many} open contours; their points hold "
         "the surface where it passes by, and are no wall of their own"
     )
+
+
+def _shoulders(done: FittedReconstruction) -> str | None:
+    """A step between two slices is made level; no slice tells at which height it is."""
+    branches = done.skinned.branching.branches
+    shoulders = [each for each in done.skinned.branching.joints if each.shoulder]
+    if not shoulders or not done.skinned.shown:
+        return None
+    between = [
+        "{} and {}".format(*(_nearest(branches[each], joint.height_mm) for each in (one, other)))
+        for joint in shoulders
+        for one, other in [(*joint.below, *joint.above)]
+    ]
+    return (
+        f"contours step abruptly between slices {', '.join(between)}: made level, midway; do not"
+        " measure at which height"
+    )
+
+
+def _nearest(branch: Branch, height_mm: float) -> int:
+    """The slice of a branch nearest to a height."""
+    nearest = min(branch.outlines, key=lambda each: abs(each.height_mm - height_mm))
+    return nearest.slice_index
 
 
 def _ends(done: FittedReconstruction) -> str | None:

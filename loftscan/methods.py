@@ -2,8 +2,8 @@
 
 ::
 
-    paper   `reconstruction.pipeline`      cells, centres of mass, patches a run
     fit     `reconstruction.fit_pipeline`  curves fitted to raw points, one surface a branch
+    paper   `reconstruction.pipeline`      cells, centres of mass, patches a run
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ AnyCourse = Course[AnySection, AnyReconstruction]
 class Method(Enum):
     """How sections and surface are made."""
 
-    PAPER = "paper"
     FIT = "fit"
+    PAPER = "paper"
 
 
 def mesh_so_far(sections: Sequence[AnySection]) -> Mesh | None:

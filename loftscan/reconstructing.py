@@ -17,6 +17,7 @@ from loftscan.inputs import Input, Unit, judge_size, open_input
 from loftscan.methods import AnyCourse, AnyReconstruction, Method
 from loftscan.progress import Progress, silent
 from loftscan.result import Result
+from loftscan.surface_findings import judge_surface
 from reconstruction.arrays import FloatArray
 from reconstruction.cleanup import CleanupSettings
 from reconstruction.comparison import Deviation, compare_to_mesh
@@ -41,7 +42,7 @@ _LEAST_MM = 1e-9  # no length below the size of an atom is meant
 class Settings:
     """Everything that decides a reconstruction, besides its input."""
 
-    method: Method = Method.PAPER
+    method: Method = Method.FIT
     axis: Axis = Axis.Z
     unit: Unit = Unit.MM
     spacing_mm: float | None = None
@@ -79,8 +80,10 @@ class Settings:
         }
         for option, given in useless.items():
             if given:
+                other = Method.PAPER if fit else Method.FIT
                 raise ValueError(
-                    f"{option}: means nothing to --method {self.method.value}; leave it out"
+                    f"{option}: means nothing to --method {self.method.value}; leave it out, or"
+                    f" choose --method {other.value}"
                 )
 
     def course(self) -> AnyCourse:
@@ -205,7 +208,11 @@ def _conclude(
         deviation=deviation,
         metrics=numbers,
         provenance=provenance.record(provenance.describe(opened), settings.said()),
-        warnings=tuple([size] if size else []) + judge(cutting, done),
+        warnings=(
+            *([size] if size else []),
+            *judge(cutting, done),
+            *judge_surface(cutting, done, sample_mm, deviation, settings.cleanup),
+        ),
     )
 
 

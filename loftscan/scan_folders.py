@@ -28,7 +28,9 @@ _RECORD_BYTES = 65_536
 # What a resume must not change: it decides where the kept slices' points are.
 _MEANING = (
     *("kinematics", "table.letter", "table.steps_per_deg", "table.zero", "table.zero_deg"),
-    *("stage.pulses_per_turn", "stage.screw_lead_mm"),
+    *("table.family", "table.microsteps_per_deg"),
+    *("stage.family", "stage.pulses_per_turn", "stage.screw_lead_mm", "stage.microsteps_per_mm"),
+    *("table.turning", "stage.steps_per_mm"),
     *("stage.home_mark", "stage.home_way", "stage.home_position_mm"),
 )
 

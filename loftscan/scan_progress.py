@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import TextIO
@@ -17,6 +17,7 @@ import numpy as np
 
 from acquisition.frames import Kinematics
 from acquisition.poses import Sweep
+from acquisition.safety.promises import promise_of_guard
 from acquisition.scan import Progress, StopRequest, Wish
 from drivers.laser import Guarantee
 from drivers.profiler import Reason
@@ -98,12 +99,17 @@ class ScanTeller:
             f" ({in_bytes(here.free_bytes)} free)"
         )
 
-    def laser(self, guarantee: Guarantee) -> None:
-        """Say who turns the laser off when this program is dead."""
+    def laser(self, guarantee: Guarantee, guarded_s: Mapping[str, float]) -> None:
+        """Say who turns the laser off when this program is dead or hangs, and after how long."""
+        guard = promise_of_guard(guarded_s)
         if self._manner is Manner.JSON:
-            self._say(event="laser", watchdog_s=guarantee.watchdog_s, guarantee=guarantee.sentence)
+            self._say(
+                event="laser", watchdog_s=guarantee.watchdog_s, guarantee=guarantee.sentence,
+                guard=guard, guard_s=dict(guarded_s),
+            )  # fmt: skip
         else:
             self._print(guarantee.sentence)
+            self._print(guard)
 
     def stopped_at(self, progress: Progress) -> None:
         """Take note of a stop of the table."""

@@ -21,6 +21,8 @@ from acquisition.frames import Kinematics
 from acquisition.opening import OpenStation
 from acquisition.plan import Plan, check_plan, read_plan
 from acquisition.poses import Sweep
+from acquisition.safety.leading import known
+from acquisition.safety.promises import Attendance, must_be_attended
 from acquisition.scan import PartStands, Progress, StopRequest, Wish
 from acquisition.scan import scan as take
 from acquisition.scan_record import State
@@ -89,6 +91,7 @@ def scan(
     out: str | os.PathLike[str] | None = None,
     resume: bool = False,
     part: PartStands = PartStands.ANYWHERE,
+    attendance: Attendance = Attendance.NOBODY,
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> Scan:
     """Scan a plan, slice by slice.
@@ -104,6 +107,8 @@ def scan(
         the loop sees every slice once and in order.
     part
         Needed to resume where the table's zero is where it stands when it is homed.
+    attendance
+        Whether somebody stays at the station: needed for a laser that no watchdog turns off.
     progress
         Told after every stop of the table.
 
@@ -115,6 +120,7 @@ def scan(
     wanted = plan if isinstance(plan, Plan) else read_plan(Path(plan))
     name = "plan" if isinstance(plan, Plan) else str(plan)
     check_plan(wanted, station.settings, name)
+    must_be_attended(station.devices.guarantee, attendance)
     stop = StopRequest()
 
     def taken(missing: tuple[int, ...] | None) -> Generator[Sweep]:
@@ -153,6 +159,8 @@ def begin(here: Prospect, devices: OpenStation, stop: StopRequest) -> ScanWriter
         device.identify()
         if stop.wish is not Wish.GO_ON:
             raise Stopped("stopped before anything moved; nothing was written")
+    known(devices)
+    devices.guard.report_to(here.out.with_suffix(".guard.jsonl"))
     return here.begin(datetime.now(UTC))
 
 

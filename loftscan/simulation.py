@@ -17,9 +17,9 @@ import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO
+from typing import IO, Literal
 
 _START_S = 180.0  # the first start on a machine compiles
 _END_S = 5.0
@@ -34,6 +34,28 @@ class Simulated:
     truth: Path  # mesh of the part
     witness: Path  # what truly happened, a line an event
     pid: int
+    hands: IO[str] | None = field(default=None, compare=False, repr=False)  # of the operator
+
+    def press(self, contact: Literal["estop", "interlock", "key"]) -> None:
+        """Press the emergency stop, open the interlock, turn the key off."""
+        self._do(f"press {contact}")
+
+    def release(self, contact: Literal["estop", "interlock", "key"]) -> None:
+        """Undo `press`."""
+        self._do(f"release {contact}")
+
+    def pull_the_lasers_cable(self) -> None:
+        """Nothing that is said to what switches the laser arrives any more."""
+        self._do("pull cable")
+
+    def plug_the_lasers_cable(self) -> None:
+        """It arrives again."""
+        self._do("plug cable")
+
+    def _do(self, what: str) -> None:
+        hands = _pipe(self.hands)
+        hands.write(f"{what}\n")
+        hands.flush()
 
     def __fspath__(self) -> str:
         return str(self.station)
@@ -52,7 +74,11 @@ def simulate(
     outliers: float | None = None,
     rings: int | None = None,
     stops: int | None = None,
+    table: str | None = None,
+    stage: str | None = None,
+    profiler: str | None = None,
     faults: str | Sequence[str] = (),
+    laser: str | None = None,
     out: str | os.PathLike[str] | None = None,
 ) -> Iterator[Simulated]:
     """Serve a simulated station while the block lasts.
@@ -65,8 +91,15 @@ def simulate(
         Of the noise; how much faster than real time; of the optics: by default the simulator's.
     rings, stops
         Of the plan: how many rings, and how many stops of the table in each.
+    table, stage
+        Families of the axes, such as ``table="oriental"``; by default grbl and leadshine.
+    profiler
+        Family of what measures: ``"baumer_ox"`` by default, ``"riftek"`` or ``"registers"``.
     faults
         Planted faults by name, such as ``"no-profiles"``.
+    laser
+        What switches the laser: ``"turck"`` by default, ``"plain"``, ``"grbl"``, ``"none"`` and
+        others; `loftscan sim --help` has them.
     out
         Where its files go; by default a folder that goes with the block.
 
@@ -79,6 +112,8 @@ def simulate(
     options = {
         "--part": part, "--seed": seed, "--scale": scale, "--cloud-width-mm": cloud_width_mm,
         "--outliers": outliers, "--rings": rings, "--stops": stops, "--faults": planted or None,
+        "--table": table, "--stage": stage, "--profiler": profiler,
+        "--laser": laser,
     }  # fmt: skip
     chosen = [each for name, value in options.items() if value is not None
               for each in (name, str(value))]  # fmt: skip
@@ -122,7 +157,7 @@ def _told(process: subprocess.Popen[str], said: Path) -> Simulated:
     station, plan, truth, witness = (
         Path(told[name]) for name in ("station", "plan", "truth", "witness")
     )
-    return Simulated(station, plan, truth, witness, int(told["pid"]))
+    return Simulated(station, plan, truth, witness, int(told["pid"]), process.stdin)
 
 
 def _end(process: subprocess.Popen[str]) -> None:

@@ -20,8 +20,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol, Self
 
-from acquisition.lease import LONGEST_WAIT_S, TTL_S, Lease, lasing, pausing
+from acquisition.lease import LONGEST_WAIT_S, lasing, pausing
 from acquisition.opening import OpenStation, at_rest_unless_done, open_station
+from acquisition.safety.leading import acknowledge, arm, begin_homing, homed, make_known
+from acquisition.safety.states import Event, State
 from acquisition.scan import StopRequest
 from acquisition.station import NoLaserSwitch, read_station
 from acquisition.station import Station as Settings
@@ -125,9 +127,12 @@ class Station:
     def home(self, axis: AxisName = "both") -> Stand:
         """Find the references, the stage's first; a table without a switch names its place zero."""
         with self._working() as pause:
+            make_known(self._devices)
+            begin_homing(self._devices)
             for name in ("stage", "table"):
                 if axis in (name, "both"):
                     self._axis(name).home(pause)
+            homed(self._devices)
             return self.stand()
 
     def jog(self, *, table_deg: float | None = None, stage_mm: float | None = None) -> Stand:
@@ -138,22 +143,39 @@ class Station:
         Refused
             Not homed, or outside the soft limits; nothing has moved then.
         """
-        with self._working() as pause:
+        with self._moving() as pause:
             if stage_mm is not None:
                 self._axis("stage").move_to(stage_mm, pause)
             if table_deg is not None:
                 self._axis("table").move_to(math.radians(table_deg), pause)
-            return self.stand()
+        return self.stand()
 
     def jog_by(self, *, table_deg: float = 0.0, stage_mm: float = 0.0) -> Stand:
-        """Move by a distance from where it stands; a Grbl table unhomed by one degree at most."""
-        with self._working() as pause:
+        """Move by a distance from where it stands; unhomed by one degree or millimetre at most."""
+        with self._moving() as pause:
             if stage_mm:
-                stage = self._axis("stage")
-                stage.move_to(stage.state().position + stage_mm, pause)
+                _move_by(self._axis("stage"), stage_mm, pause)
             if table_deg:
-                self._turn_by(math.radians(table_deg), pause)
-            return self.stand()
+                _move_by(self._axis("table"), math.radians(table_deg), pause)
+        return self.stand()
+
+    def check_table(self, *, turns: int = 0) -> float | None:
+        """Look whether the table's home switch is where it was; how many degrees it is off.
+
+        For a table whose position is counted: steps that were lost since it was homed show here and
+        nowhere else, and after whole `turns` a wrong number of steps a degree. None for a table
+        that is read back by a sensor of its own.
+
+        Raises
+        ------
+        Refused
+            Off by more than its tolerance, and no longer homed; or its switch cannot be looked for.
+        """
+        table = self._devices.table
+        if not isinstance(table, GrblAxis):
+            return None
+        with self._moving() as pause:
+            return math.degrees(table.check_reference(pause, turns=turns))
 
     def stop(self) -> Stand:
         """Laser off, then both axes stopped and seen to stand; whatever fails, the rest is done.
@@ -164,10 +186,30 @@ class Station:
             Something was not read back as it should be: press the emergency stop.
         """
         at = self._devices
+        at.safety.tell(Event.STOP)
         with self._attention.at_work(StopRequest()):
             with at_last(at.table.stop), at_last(at.stage.stop), at_last(at.laser.off):
                 pass  # the laser first: endings are done in reverse
-            return self._standing()
+            found = self._standing()
+            if at.safety.state is State.STOPPING:
+                at.safety.tell(Event.STANDS)
+            return found
+
+    def acknowledge(self) -> Stand:
+        """Say that the cause of a fault or an emergency stop is gone; the devices are asked.
+
+        Nothing moves and nothing is lit by it; after an emergency stop it must be homed anew.
+
+        Raises
+        ------
+        NotNow
+            There is nothing to acknowledge.
+        InputTripped, DriverError
+            It is not gone.
+        """
+        with self._attention.at_work(StopRequest()):
+            acknowledge(self._devices)
+            return self.stand()
 
     def profile(self) -> Profile:
         """One profile, the laser on for it and off again.
@@ -187,13 +229,12 @@ class Station:
         Between two calls no more than 50 ms may pass, or the lease lapses and the laser is off.
         """
         at, stop = self._devices, StopRequest()
-        lease = Lease(TTL_S, at.clock)
-        with (
-            self._attention.at_work(stop),
-            at_rest_unless_done(at),
-            lasing(at.laser, lease) as keep_on,
-        ):
-            yield lambda: self._fresh(keep_on, stop)
+        pause = pausing(at.lease, lambda: self._look(stop), at.sleep)
+        with self._attention.at_work(stop), at_rest_unless_done(at):
+            make_known(at)
+            arm(at, pause)
+            with lasing(at.laser, at.lease) as keep_on:
+                yield lambda: self._fresh(keep_on, stop)
 
     def begin(self, work: Closes) -> None:
         """Note what is under way: it ends with the station, or before the next of its kind."""
@@ -212,8 +253,9 @@ class Station:
         at.profiler.discard()
         deadline_s = at.clock() + _EXPOSURE_S
         while True:
-            stop.look()
+            self._look(stop)
             keep_on()
+            at.safety.tell(Event.EXPOSED)
             try:
                 return next(at.profiler.profiles(_LOOK_S))
             except NoReply:
@@ -224,21 +266,27 @@ class Station:
     def _working(self) -> Iterator[Pause]:
         """Work that looks for a stop while it waits; left badly, the station comes to rest."""
         stop = StopRequest()
-        lease = Lease(TTL_S, self._devices.clock)
-        pause = pausing(lease, stop.look, self._devices.sleep)
-        with self._attention.at_work(stop), at_rest_unless_done(self._devices):
+        at = self._devices
+        pause = pausing(at.lease, lambda: self._look(stop), at.sleep)
+        with self._attention.at_work(stop), at_rest_unless_done(at):
             yield pause
+
+    @contextmanager
+    def _moving(self) -> Iterator[Pause]:
+        """A move by hand; a driver refuses what is not homed or lies outside."""
+        with self._working() as pause:
+            make_known(self._devices)
+            self._devices.safety.ask(Event.JOG)
+            yield pause
+            self._devices.safety.tell(Event.ARRIVED)
+
+    def _look(self, stop: StopRequest) -> None:
+        """Raise what ends the work: a stop, or the hardware's safety chain."""
+        stop.look()
+        self._devices.safety.look()
 
     def _axis(self, name: str) -> Axis:
         return self._devices.table if name == "table" else self._devices.stage
-
-    def _turn_by(self, angle_rad: float, pause: Pause) -> None:
-        table = self._devices.table
-        here = table.state()
-        if isinstance(table, GrblAxis) and not here.homed:
-            table.jog_to(here.position + angle_rad, pause)
-        else:
-            table.move_to(here.position + angle_rad, pause)
 
     def _standing(self) -> Stand:
         """Wait until both axes stand; says what does not come to rest."""
@@ -261,3 +309,9 @@ class Station:
                     " emergency stop"
                 )
             at.sleep(LONGEST_WAIT_S)
+
+
+def _move_by(axis: Axis, distance: float, pause: Pause) -> None:
+    here = axis.state()
+    move = axis.move_to if here.homed else axis.jog_to
+    move(here.position + distance, pause)

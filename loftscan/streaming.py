@@ -21,6 +21,7 @@ from loftscan.reconstructing import Settings
 from loftscan.result import Result
 from loftscan.scans import Absent, Arrival, Source
 from loftscan.stage_clock import StageClock
+from loftscan.surface_findings import judge_surface
 from loftscan.updates import Finished, Fitted, Missed, Standing, Update
 from reconstruction.comparison import Deviation, compare_to_mesh
 from reconstruction.course import Remedy
@@ -184,6 +185,7 @@ class _Run:
         numbers |= metrics.resources(self._clock.seconds)
         remarks = self._source.remarks()
         missed = judge_arrivals(gathered, self._source.name)
+        away = judge_surface(gathered, done, gathered.sample_mm, deviation, self._settings.cleanup)
         return Result(
             name=self._name,
             reconstruction=done,
@@ -192,7 +194,7 @@ class _Run:
             deviation=deviation,
             metrics=numbers,
             provenance=provenance.record(self._source.origin(), self._settings.said()),
-            warnings=(*remarks, *missed, *judge(gathered, done)),
+            warnings=(*remarks, *missed, *judge(gathered, done), *away),
         )
 
     def _gathered(self) -> Gathered:

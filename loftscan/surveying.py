@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 
 from acquisition.lease import LONGEST_WAIT_S
 from acquisition.opening import OpenStation, open_station
+from acquisition.profilers import as_it_is
+from acquisition.safety.guarding import unguarded
 from acquisition.station import NoLaserSwitch, Station
 from drivers.axis import Axis, AxisState, Identity, Motion
 from drivers.errors import DriverError, LinkLost
@@ -20,7 +22,7 @@ from drivers.grbl import GrblAxis
 from drivers.laser import Guarantee, LaserSwitch
 from drivers.links import ByteLink, open_link
 from drivers.profiler import Profiler
-from drivers.tiers import TIERS
+from drivers.tiers import tier_of
 
 _BRAKING_S = 5.0
 
@@ -95,6 +97,9 @@ class AbsentLink:
 def reached(station: Station, *, links: Callable[[str], ByteLink] = open_link) -> Iterator[Reached]:
     """Open what can be opened; on the way out everything that answers is at rest.
 
+    Nothing is lit and nothing moves, so nobody guards, and no place is locked: "stop" is for a
+    station that somebody else has, too.
+
     What the way out has to complain of is raised, even where it is of a device that never answered.
     """
     lost: dict[str, str] = {}
@@ -107,15 +112,15 @@ def reached(station: Station, *, links: Callable[[str], ByteLink] = open_link) -
             return AbsentLink(address, str(gone))
 
     # A setup of the sensor that cannot be loaded is no reason to leave the axes unreached.
-    plain = replace(station, profiler=replace(station.profiler, setup=None))
+    plain = replace(station, profiler=as_it_is(station.profiler))
     with ExitStack() as way_out:
         trouble = ""
         try:
-            devices = way_out.enter_context(open_station(plain, links=opened))
+            devices = way_out.enter_context(open_station(plain, links=opened, guarding=unguarded))
         except DriverError as failed:
             trouble = str(failed)
             unlit = replace(plain, laser=NoLaserSwitch())
-            devices = way_out.enter_context(open_station(unlit, links=opened))
+            devices = way_out.enter_context(open_station(unlit, links=opened, guarding=unguarded))
         yield Reached(devices, lost, trouble)
 
 
@@ -205,10 +210,10 @@ def _blank(station: Station, role: str) -> Finding:
     settings = getattr(station, role)
     if isinstance(settings, NoLaserSwitch):
         return Finding(role, "none", (), "")
-    family = "relay" if role == "laser" else settings.family
+    family = settings.switch if role == "laser" else settings.family
     names = ("address", "profiles")
     addresses = tuple(getattr(settings, name) for name in names if hasattr(settings, name))
-    return Finding(role, str(family), addresses, TIERS[family].value)
+    return Finding(role, str(family), addresses, tier_of(family).value)
 
 
 def _laser(station: Station, laser: LaserSwitch, promise: Guarantee, found: Reached) -> Finding:

@@ -37,7 +37,7 @@ def reconstruct(
     *,
     axis: Literal["x", "y", "z"] = "z",
     unit: Literal["mm", "cm", "m", "um", "inch"] = "mm",
-    method: Literal["paper", "fit"] = "paper",
+    method: Literal["fit", "paper"] = "fit",
     exact: Literal["auto", "never"] = "auto",
     nurbs: Literal["auto", "always"] = "auto",
     spacing_mm: float | None = None,
@@ -61,8 +61,8 @@ def reconstruct(
     unit
         Of a cloud's coordinates; everything after is in mm.
     method
-        ``"paper"``, the method of the paper, or ``"fit"``: curves fitted to the raw points of every
-        slice, and one surface a branch through all of them.
+        ``"fit"``: curves fitted to the raw points of every slice, and one surface a branch through
+        all of them; or ``"paper"``, the method of the paper, one contour a slice.
     exact
         Of ``"fit"``: whether circles of slices, and cylinders, cones, spheres and surfaces of
         revolution of the part, are returned as such, with their figures (`Result.shapes`), where
@@ -115,7 +115,7 @@ def reconstruct_stream(
     *,
     kinematics: Kinematics | None = None,
     name: str | None = None,
-    method: Literal["paper", "fit"] = "paper",
+    method: Literal["fit", "paper"] = "fit",
     exact: Literal["auto", "never"] = "auto",
     nurbs: Literal["auto", "always"] = "auto",
     resolution_mm: float | None = None,

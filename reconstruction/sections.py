@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -58,7 +59,7 @@ class Residual:
 
 def measure_residual(distances_mm: FloatArray, *, range_mm: float) -> Residual:
     """Sum up signed distances (n,); the histogram spans -range to range in 2001 bins."""
-    edges = np.linspace(-range_mm, range_mm, _BINS + 1)
+    edges = _edges(range_mm)
     inside = np.clip(distances_mm, -range_mm, range_mm)
     bins, _ = np.histogram(inside, bins=edges)
     return Residual(
@@ -69,6 +70,12 @@ def measure_residual(distances_mm: FloatArray, *, range_mm: float) -> Residual:
         edges_mm=edges,
         bins=bins,
     )
+
+
+@lru_cache(maxsize=8)
+def _edges(range_mm: float) -> FloatArray:
+    """Of the histograms of all sections, once."""
+    return frozen(np.linspace(-range_mm, range_mm, _BINS + 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -26,6 +26,7 @@ _LEAST_SLICES = 5
 _REGULAR = 0.25  # steps within this share of their median count as the scanner's row step
 _WIDE_BREAK = 0.3  # of the widest empty band, to part two levels
 _ROWS_SHARE = 0.6  # of the steps must be regular
+_LONELY = 0.1  # of the points that levels hold: fewer are strays between levels
 
 
 class Axis(Enum):
@@ -214,16 +215,22 @@ def _find_levels(heights_mm: FloatArray) -> float | None:
     breaks = np.flatnonzero(empty > _WIDE_BREAK * empty.max(initial=0))
     firsts = occupied[np.concatenate([[0], breaks + 1])]
     lasts = occupied[np.concatenate([breaks, [len(occupied) - 1]])]
+    held = np.add.reduceat(counts, firsts)
+    usual = float((held**2).sum() / held.sum())  # of the level that a point is likely to lie in
+    full = held >= _LONELY * usual
+    firsts, lasts = firsts[full], lasts[full]
     if len(firsts) < 3:
         return None
-    middles = (edges[firsts] + edges[lasts + 1]) / 2.0
-    steps = np.diff(middles)
+    lows, highs = edges[firsts], edges[lasts + 1]
+    steps = np.diff((lows + highs) / 2.0)
     step = float(np.median(steps))
-    widths = edges[lasts + 1] - edges[firsts]
     regular = np.abs(steps - step) < _REGULAR * step
-    apart = float(np.median(widths)) < 0.7 * step
+    apart = float(np.median(highs - lows)) < 0.7 * step
     if not apart or regular.mean() <= _ROWS_SHARE:
         return None
-    # The bins round each step; over all levels at once they do not.
     numbers = np.concatenate([[0.0], np.cumsum(np.rint(steps / step))])
-    return float(np.polyfit(numbers, middles, 1)[0])
+    # The bins round each step, and a stray beside a level widens it; medians know of neither.
+    level = np.searchsorted(lows, heights_mm, "right") - 1
+    level[heights_mm > highs[level]] = -1
+    medians = [float(np.median(heights_mm[level == each])) for each in range(len(lows))]
+    return float(np.polyfit(numbers, medians, 1)[0])

@@ -1,7 +1,8 @@
 """``python -m sim``: a simulated station on wires of this machine, until Ctrl-C.
 
 A parent that starts it waits for the line ``station: PATH``, or for a JSON object with ``--json``;
-with ``--while-stdin-open`` it ends when the parent does, however that ends.
+with ``--while-stdin-open`` it ends when the parent does, however that ends. ``kill -USR1`` pulls a
+cable, which is put back by itself (``away-ms`` of ``--faults``).
 """
 
 from __future__ import annotations
@@ -18,12 +19,18 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NoReturn
 
+from sim.axes import StageFamily, TableFamily
+from sim.cabling import Cabling
 from sim.faults import FAULTS, parse_faults
+from sim.lasers import LaserWiring
 from sim.parts import PARTS, find_part
+from sim.profilers import ProfilerFamily
+from sim.relay import Contact
 from sim.serving import Ending, Server
 from sim.stations import (
     PLAN_RINGS,
     PLAN_STOPS,
+    Devices,
     Layout,
     build,
     connect,
@@ -75,18 +82,24 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
         time_scale=wanted.scale,
         cloud_width_mm=wanted.cloud_width_mm,
         outlier_rate=wanted.outliers,
+        table_family=TableFamily(wanted.table),
+        stage_family=StageFamily(wanted.stage),
+        profiler_family=ProfilerFamily(wanted.profiler),
+        laser=LaserWiring(wanted.laser),
     )
     files = _files(wanted, folder)
     with WitnessLog(files.witness) as witness:
         devices = build(layout, part, witness, time.monotonic(), faults=faults)
+        cabling = Cabling(faults, layout.seed, witness)
+        signal.signal(signal.SIGUSR1, lambda *_: cabling.pull_any(time.monotonic()))
         with Server(lively=devices.lively) as server:
-            addresses = connect(devices, layout, faults, server, folder)
+            addresses = connect(devices, layout, cabling, server, folder)
             files.truth.write_bytes(truth_ply(part))
             plan = plan_toml(layout, part, rings=wanted.rings, stops=wanted.stops)
             files.plan.write_text(plan, encoding="utf-8")
             files.station.write_text(station_toml(layout, addresses, part.name), encoding="utf-8")
             if wanted.while_stdin_open:
-                _end_with_stdin(server, ending)
+                _end_with_stdin(server, ending, devices)
             _tell(files, as_json=wanted.json)
             server.run(ending)
 
@@ -101,9 +114,24 @@ def _files(wanted: argparse.Namespace, folder: Path) -> _Files:
     return _Files(station, out / "plan.toml", out / "truth.ply", witness)
 
 
-def _end_with_stdin(server: Server, ending: Ending) -> None:
+def _end_with_stdin(server: Server, ending: Ending, devices: Devices) -> None:
+    """End with whoever holds the pipe.
+
+    On it ``press estop``, ``release estop``, and the same of interlock and key, are done; and
+    ``pull cable``, ``plug cable``: the one of what switches the laser.
+    """
+    whole = devices.laser_cable.answers
+
+    def heed(line: str) -> None:
+        verb, _, name = line.strip().partition(" ")
+        contact = Contact.__members__.get(name.upper())
+        if contact is not None and verb in ("press", "release"):
+            (devices.relay.press if verb == "press" else devices.relay.release)(contact)
+        elif name == "cable" and verb in ("pull", "plug"):
+            devices.laser_cable.answers = 0 if verb == "pull" else whole
+
     try:
-        server.end_with(0, ending)
+        server.end_with(0, ending, heed)
     except PermissionError as file:
         raise ValueError(
             "--while-stdin-open: stdin is a file, which stays open; give a pipe"
@@ -145,9 +173,18 @@ def _parser() -> argparse.ArgumentParser:
     option("--scale", type=float, default=normal.time_scale, help="how much faster its time runs")
     option("--cloud-width-mm", type=float, default=normal.cloud_width_mm, help="of the noise")
     option("--outliers", type=float, default=normal.outlier_rate, help="share of the points")
+    for role, families in (("table", TableFamily), ("stage", StageFamily)):
+        names = [each.value for each in families]
+        default = getattr(normal, f"{role}_family").value
+        option(f"--{role}", choices=names, default=default, help="family of that axis")
+    profilers = [each.value for each in ProfilerFamily]
+    default = normal.profiler_family.value
+    option("--profiler", choices=profilers, default=default, help="family of what measures")
     option("--rings", type=_count_from(1), default=PLAN_RINGS, help="of plan.toml")
     option("--stops", type=_count_from(3), default=PLAN_STOPS, help="of the table, in each ring")
     option("--faults", default="", metavar="NAME,NAME=N", help="what is wrong; --list names all")
+    wirings = [each.value for each in LaserWiring]
+    option("--laser", choices=wirings, default=normal.laser.value, help="what switches the laser")
     option("--out", type=Path, metavar="DIR", help="keeps the files; absent: gone at the end")
     option("--station", type=Path, metavar="FILE", help="for station.toml alone")
     option("--witness", type=Path, metavar="FILE", help="for the log of what truly happened alone")

@@ -1,6 +1,7 @@
 """Faults that can be planted by name: ``--faults drop-blocks=50,stall-stage=12``.
 
-None of them rolls dice: each counts, so that the same run fails in the same way again.
+None of these rolls dice: each counts, so that the same run fails in the same way again. Those of
+`sim.wire_faults`, which are given in the same list, do, from a seed.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from enum import Enum
 from types import MappingProxyType
 
 from sim.device import Broadcaster, Device
+from sim.wire_faults import WIRE_FAULTS, WireFaults, with_wire_fault
 
 
 class Speaker(Enum):
@@ -34,6 +36,7 @@ class Faults:
     drop_every: int | None = None  # datagrams: each of that number is lost
     garble_every: int | None = None  # answers on serial lines: each of that number has a bit wrong
     stage_stalls_mm: float | None = None  # nothing above is reached
+    wires: WireFaults = field(default_factory=WireFaults)
 
 
 FAULTS: Mapping[str, str] = MappingProxyType(
@@ -46,6 +49,7 @@ FAULTS: Mapping[str, str] = MappingProxyType(
         "drop-blocks=N": "every N-th datagram of the profiles is lost",
         "stall-stage=MM": "the stage cannot go above that position",
         "garbage=N": "every N-th answer on a serial line has a wrong bit",
+        **WIRE_FAULTS,
     }
 )
 
@@ -65,6 +69,8 @@ def parse_faults(text: str) -> Faults:
 
 
 def _planted(fault: str, faults: Faults) -> Faults:
+    if (wires := with_wire_fault(fault, faults.wires)) is not None:
+        return replace(faults, wires=wires)
     name, equals, number = fault.partition("=")
     if name in _SILENT:
         answers = _natural(fault, number, at_least=0) if equals else 0

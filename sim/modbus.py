@@ -25,6 +25,7 @@ _MOST_WORDS_READ, _MOST_WORDS_WRITTEN = 125, 123
 _MOST_BITS_READ, _MOST_BITS_WRITTEN = 2000, 1968
 _EXCEPTION = 0x80
 _BROADCAST = 0
+_FLASH_PAGE = 0x02
 _WRITES = (5, 6, 15, 16)
 _LONGEST_RTU = 256
 _TCP_HEAD = struct.Struct(">HHHB")
@@ -36,6 +37,15 @@ class ComplainsOfCrc(Protocol):
     """A unit that answers a request with a bad CRC, where the standard wants silence."""
 
     crc_refusal: int  # the exception's code
+
+
+@runtime_checkable
+class Flashes(Protocol):
+    """A unit that takes more of function 5 than on and off, which the standard does not have."""
+
+    def flash(self, address: int, word: int, now_s: float) -> None:
+        """Do function 5 at an address of the page 0x02."""
+        ...
 
 
 class RtuServer:
@@ -197,6 +207,10 @@ def _read_input(unit: ModbusUnit, asked: bytes, now_s: float) -> bytes:
 
 
 def _write_coil(unit: ModbusUnit, asked: bytes, now_s: float) -> bytes:
+    if len(asked) == 4 and isinstance(unit, Flashes) and asked[0] == _FLASH_PAGE:
+        address, word = struct.unpack(">HH", asked)
+        unit.flash(address, word, now_s)
+        return asked
     if len(asked) != 4 or asked[2:] not in (b"\xff\x00", b"\x00\x00"):
         raise ModbusRefusal(_ILLEGAL_VALUE)
     unit.write_coils(int.from_bytes(asked[:2], "big"), [asked[2] == 0xFF], now_s)

@@ -5,7 +5,8 @@ a register 0x1120 of milliseconds that the block waits for the next request befo
 outputs off by itself; 0 is never. Other substitute values than off are impossible there. Outputs
 that were dropped stay off until somebody writes them again: that is all the re-arming there is.
 
-A plain relay board has the coils and nothing else.
+A plain relay board has the coils and nothing else; a timed one also switches an output on for so
+many tenths of a second, by a word of function 5 at 0x0200 and up (Waveshare's "flash on").
 
 The manuals that could be had do not say where the coils lie; here coil n is output n, as it is on
 the plain boards. Nor do they say how 0x1020 counts: here it is what is left.
@@ -13,6 +14,7 @@ the plain boards. Nor do they say how 0x1020 counts: here it is what is left.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -41,6 +43,7 @@ _LO_AD = (0x6C6F, 0x6164)
 _SA_VE = (0x7361, 0x7665)
 _PASSWORD_S = 30.0
 _MODES = range(4)
+_FLASH, _FLASH_S = 0x0200, 0.1
 
 
 class Block(Enum):
@@ -48,6 +51,15 @@ class Block(Enum):
 
     WATCHED = "Turck multiprotocol, with a communication watchdog"
     PLAIN = "relay board: coils, no watchdog"
+    TIMED = "relay board: coils, and a timed on of each"
+
+
+class Contact(Enum):
+    """A contact of the safety chain, by the input that it closes while all is well."""
+
+    ESTOP = 0
+    INTERLOCK = 1
+    KEY = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,6 +93,8 @@ class RelayBlock:
         self._saved = self._as_delivered()
         self._parameters = dict(self._saved)
         self._heard_s: float | None = None  # None: nothing yet, so nothing to lose
+        self._drops_s = [math.inf] * self._settings.outputs  # when a timed on is over
+        self._open: set[Contact] = set()
         self._half: tuple[int, int, float] | None = None  # a password's register, half and time
 
     def heard(self, now_s: float) -> None:
@@ -92,6 +106,25 @@ class RelayBlock:
         """Drop the outputs if the watchdog has run out."""
         if self._left_s(now_s) <= 0.0 and any(self._outputs):
             self._switch([False] * len(self._outputs), now_s, why="watchdog")
+        due = [ends_s <= now_s for ends_s in self._drops_s]
+        if any(due):
+            kept = [on and not over for on, over in zip(self._outputs, due, strict=True)]
+            ends_s = min(self._drops_s)
+            self._drops_s = [
+                math.inf if over else end for end, over in zip(self._drops_s, due, strict=True)
+            ]
+            self._switch(kept, ends_s, why="timed on is over")
+
+    def flash(self, address: int, word: int, now_s: float) -> None:
+        """Do function 5 at 0x0200 + n: on for `word` times 100 ms, counted anew each time."""
+        number = address - _FLASH
+        if self._settings.block is not Block.TIMED or number not in range(len(self._outputs)):
+            raise ModbusRefusal(_ILLEGAL_ADDRESS)
+        self.tick(now_s)
+        self._drops_s[number] = now_s + word * _FLASH_S
+        after = list(self._outputs)
+        after[number] = word > 0
+        self._switch(after, now_s, why=f"timed on of {number}")
 
     def read_coils(self, first: int, count: int, now_s: float) -> Sequence[bool]:
         """The outputs."""
@@ -104,14 +137,15 @@ class RelayBlock:
         self._check_coils(first, len(states))
         after = list(self._outputs)
         after[first : first + len(states)] = states
+        self._drops_s[first : first + len(states)] = [math.inf] * len(states)
         self._switch(after, now_s, why=f"coil {self._settings.laser_output}")
 
     def read_discrete(self, first: int, count: int, now_s: float) -> Sequence[bool]:
-        """Inputs: nothing is wired to them."""
+        """Inputs: the safety chain's contacts, and beyond them nothing is wired."""
         self._check_registers()
         if first + count > 16 * len(_INPUTS):
             raise ModbusRefusal(_ILLEGAL_ADDRESS)
-        return [False] * count
+        return [bool(self._inputs() >> number & 1) for number in range(first, first + count)]
 
     def read_holding(self, first: int, count: int, now_s: float) -> Sequence[int]:
         """Process data, identity, watchdog."""
@@ -138,6 +172,17 @@ class RelayBlock:
         self._heard_s = None
         self._switch([False] * len(self._outputs), now_s, why="power")
 
+    def press(self, contact: Contact) -> None:
+        """Open a contact of the safety chain: press the button, open the door, turn the key off."""
+        self._open.add(contact)
+
+    def release(self, contact: Contact) -> None:
+        """Close it again."""
+        self._open.discard(contact)
+
+    def _inputs(self) -> int:
+        return sum(1 << each.value for each in Contact if each not in self._open)
+
     def _as_delivered(self) -> dict[int, int]:
         delivered = dict.fromkeys(_PARAMETERS, 0)
         return delivered | {_WATCHDOG_MS: self._settings.watchdog_ms}
@@ -147,7 +192,7 @@ class RelayBlock:
             raise ModbusRefusal(_ILLEGAL_ADDRESS)
 
     def _check_registers(self) -> None:
-        if self._settings.block is Block.PLAIN:
+        if self._settings.block is not Block.WATCHED:
             raise ModbusRefusal(_ILLEGAL_FUNCTION)
 
     def _switch(self, outputs: list[bool], now_s: float, *, why: str) -> None:
@@ -157,13 +202,15 @@ class RelayBlock:
     def _left_s(self, now_s: float) -> float:
         """Until the watchdog bites; infinite when it does not watch."""
         watchdog_ms = self._parameters[_WATCHDOG_MS]
-        if watchdog_ms == 0 or self._heard_s is None or self._settings.block is Block.PLAIN:
+        if watchdog_ms == 0 or self._heard_s is None or self._settings.block is not Block.WATCHED:
             return float("inf")
         return self._heard_s + watchdog_ms / 1000.0 - now_s
 
     def _word(self, address: int, now_s: float) -> int:
         if address in (_OUTPUTS[0], _OUTPUTS_AGAIN[0]):
             return sum(state << k for k, state in enumerate(self._outputs))
+        if address == _INPUTS[0]:
+            return self._inputs()
         if address in _IDENTIFIER:
             return _text_word(self._settings.name, address - _IDENTIFIER[0])
         if address == _WATCHDOG_LEFT_MS:

@@ -104,18 +104,28 @@ class Server:
         """Tell the time to what must know it with nobody connected, such as a watchdog."""
         self._ticking.append(tick)
 
-    def end_with(self, descriptor: int, ending: Ending) -> None:
+    def end_with(
+        self, descriptor: int, ending: Ending, heed: Callable[[str], object] = lambda _: None
+    ) -> None:
         """Ask for the end when a descriptor, such as a parent's pipe, is closed at its other end.
+
+        Lines that come on it before are passed to `heed`.
 
         Raises
         ------
         PermissionError
             It is a file, which never closes.
         """
+        rest = b""
 
         def look(_events: int) -> None:
-            if not os.read(descriptor, 65536):
+            nonlocal rest
+            data = os.read(descriptor, 65536)
+            if not data:
                 ending.ask()
+            *lines, rest = (rest + data).split(b"\n")
+            for line in lines:
+                heed(line.decode("ascii", "replace"))
 
         self._selector.register(descriptor, selectors.EVENT_READ, look)
 
@@ -137,6 +147,7 @@ class Server:
                 port.device.tick(now_s)  # it lives on; what it says, nobody hears
         for line in list(self._lines):
             self._say(line, line.device.tick(now_s))
+            self._break_off_if_lost(line)
         for sender, source in self._broadcasts:
             for datagram in source.datagrams(now_s):
                 sender.send(datagram)
@@ -149,7 +160,10 @@ class Server:
     def _attend(self) -> None:
         """Take up the ports that somebody opened: a pty says nothing of that by itself."""
         for port in self._ports:
-            if port.line is None and port.pty.attended():
+            if port.unplugged and not _lost(port.device):
+                port.unplugged = False
+                port.pty.plug()
+            if port.line is None and not port.unplugged and port.pty.attended():
                 port.line = self._connect(_Line(port.pty, port.device, port))
 
     def _accept(self, listener: TcpListener, session: Callable[[], Device], _events: int) -> None:
@@ -177,8 +191,18 @@ class Server:
         if data:
             self._heard_s = self._clock()
             self._say(line, line.device.receive(data, self._heard_s))
-            if line.up and line.port is None and getattr(line.device, "lost", False):
-                self._hang_up(line)  # it cannot make out where the next request begins
+            self._break_off_if_lost(line)
+
+    def _break_off_if_lost(self, line: _Line) -> None:
+        """End a session that cannot make out where the next request begins, or has no cable."""
+        if not line.up or not _lost(line.device):
+            return
+        if line.port is not None:
+            line.port.unplugged = True
+            self._hang_up(line)
+            line.port.pty.unplug()
+        else:
+            self._hang_up(line)
 
     def _say(self, line: _Line, words: bytes) -> None:
         if line.up and words:
@@ -202,11 +226,18 @@ class Server:
         line.up = False
         self._lines.remove(line)
         self._selector.unregister(line.wire)
-        if line.port is None:
-            line.wire.close()
-        else:
+        if line.port is not None:
             line.port.line = None
-            line.port.pty.renew()
+            if not line.port.unplugged:
+                line.port.pty.renew()
+        elif _lost(line.device):
+            line.wire.reset()
+        else:
+            line.wire.close()
+
+
+def _lost(device: Device) -> bool:
+    return bool(getattr(device, "lost", False))
 
 
 @dataclass(slots=True, eq=False)
@@ -228,3 +259,4 @@ class _Port:
     pty: Pty
     device: Device
     line: _Line | None = None
+    unplugged: bool = False

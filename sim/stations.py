@@ -13,36 +13,52 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from sim.baumer_ox import OxSensor, OxSettings
-from sim.device import Broadcaster, Device, ModbusUnit
-from sim.faults import Breath, Dropping, Faults, Garbling, Silent, Speaker, Unsent
-from sim.grbl import GrblBoard, GrblSettings
-from sim.leadshine import Family, LeadshineDrive, LeadshineSettings
+from sim.axes import (
+    Stage,
+    StageFamily,
+    Table,
+    TableFamily,
+    build_stage,
+    build_table,
+    lines_of,
+    stage_toml,
+    table_toml,
+)
+from sim.cabling import Cabling
+from sim.device import Device, ModbusUnit
+from sim.faults import Breath, Faults, Silent, Speaker
+from sim.grbl import GrblBoard
+from sim.lasers import LaserWiring, Slow, laser_table, relay_settings, spindle_board
 from sim.modbus import RtuServer, TcpSession
 from sim.motion import AxisMotion, Limits, Play
 from sim.optics import OpticalBench, OpticsSettings
-from sim.relay import RelayBlock, RelaySettings
+from sim.profilers import (
+    ProfilerFamily,
+    SimProfiler,
+    build_profiler,
+    connect_profiler,
+    profiler_toml,
+)
+from sim.relay import RelayBlock
 from sim.sensor import Flaws, Mounting, Sensor
 from sim.serving import Server
 from sim.solids import Part
-from sim.wires import Pty, TcpListener, UdpSender
+from sim.wires import Pty, TcpListener
 from sim.witness import Witness
 from sim.world import Pace, World, WorldAxis
 
-_STEPS_PER_DEG = 80.0
 _TABLE_BAUD = 115200
-_SEEK_DEG_S, _FIND_DEG_S, _PULL_OFF_DEG = 90.0, 10.0, 2.0
-_PULSES_PER_TURN = 10_000
-_SCREW_LEAD_MM = 5.0
 _DEVICE_ID = 1
 _CLEAR_OF_SWITCH_MM = 2.0
 PLAN_RINGS, PLAN_STOPS = 40, 12
 _SOUND = Faults()
+_FOR_EVER = 1 << 62  # answers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,6 +77,9 @@ class Layout:
     mounting: Mounting = field(default_factory=lambda: Mounting(height_mm=-3.0))
     sensor: Sensor = field(default_factory=lambda: Sensor(points=640))
     rate_hz: float = 100.0
+    table_family: TableFamily = TableFamily.GRBL
+    stage_family: StageFamily = StageFamily.LEADSHINE
+    profiler_family: ProfilerFamily = ProfilerFamily.BAUMER_OX
     table_limits: Limits = field(
         default_factory=lambda: Limits(math.radians(180.0), math.radians(2000.0))
     )
@@ -73,6 +92,7 @@ class Layout:
     stage_travel_mm: tuple[float, float] = (-2.0, 160.0)  # from limit switch to limit switch
     stage_baud: int = 115200
     watchdog_s: float = 0.25
+    laser: LaserWiring = LaserWiring.TURCK
     profiler_port: int = 0  # of each port, 0 is any that is free
     profiles_port: int = 0
     relay_port: int = 0
@@ -101,10 +121,12 @@ class Devices:
     """The devices of one station and what they share."""
 
     world: World
-    table: GrblBoard
-    stage: LeadshineDrive
-    profiler: OxSensor
+    table: Table
+    stage: Stage
+    profiler: SimProfiler
     relay: RelayBlock
+    laser_board: GrblBoard  # speaks where its spindle output switches the laser
+    laser_cable: Breath  # of whatever switches the laser; none is a cable that was pulled
 
     def lively(self, now_s: float) -> bool:
         """Whether anything moves or measures."""
@@ -140,19 +162,23 @@ def build(
             f" sees {layout.reach_mm:g}; scale it down"
         )
     world = _world(layout, part, witness, Pace(now_s, layout.time_scale))
+    if layout.laser is LaserWiring.NONE:
+        world.switch_laser(now_s, on=True, why="nothing switches it")
     if faults.stage_stalls_mm is not None:
         world.stage.obstacle = faults.stage_stalls_mm
     return Devices(
         world,
-        GrblBoard(world.table, _grbl_settings(layout)),
-        LeadshineDrive(world.stage, _leadshine_settings(layout)),
-        OxSensor(world, OxSettings(rate_hz=layout.rate_hz)),
-        RelayBlock(world, RelaySettings()),
+        build_table(layout, world),
+        build_stage(layout, world),
+        build_profiler(layout, world),
+        RelayBlock(world, relay_settings(layout.laser)),
+        spindle_board(world, witness),
+        Breath(faults.silent_after.get(Speaker.RELAY, _FOR_EVER)),
     )
 
 
 def connect(
-    devices: Devices, layout: Layout, faults: Faults, server: Server, folder: Path
+    devices: Devices, layout: Layout, cabling: Cabling, server: Server, folder: Path
 ) -> Addresses:
     """Put the devices on wires that the server serves; serial ports get their names in a folder.
 
@@ -161,45 +187,47 @@ def connect(
     OSError
         A port is taken.
     """
-    table, stage = Pty(folder / "table"), Pty(folder / "stage")
-    server.serve_pty(table, _on_serial_line(devices.table, Speaker.TABLE, faults))
-    drives = RtuServer({_DEVICE_ID: devices.stage})
-    server.serve_pty(stage, _on_serial_line(drives, Speaker.STAGE, faults))
-    profiles = UdpSender(layout.profiles_port)
-    server.broadcast(profiles, _over_network(devices.profiler, faults))
+    table, stage = _serial_lines(devices, layout, cabling, server, folder)
+    profiler, profiles = connect_profiler(devices.profiler, layout, cabling, server)
     server.tell_time(devices.relay.tick)  # its watchdog bites whether or not it has a connection
     return Addresses(
-        table=f"serial://{table.path}?baud={_TABLE_BAUD}",
-        stage=f"serial://{stage.path}?baud={layout.stage_baud}",
-        profiler=_listen(devices.profiler, Speaker.PROFILER, layout.profiler_port, faults, server),
-        profiles=profiles.address,
-        laser=_listen(devices.relay, Speaker.RELAY, layout.relay_port, faults, server),
+        table=table,
+        stage=stage,
+        profiler=profiler,
+        profiles=profiles,
+        laser=_laser_address(devices, layout, cabling, server, folder),
     )
+
+
+def _laser_address(
+    devices: Devices, layout: Layout, cabling: Cabling, server: Server, folder: Path
+) -> str:
+    """Put what switches the laser on its wire; empty where nothing does."""
+    if layout.laser is LaserWiring.NONE:
+        return ""
+    breath = devices.laser_cable
+    if (baud := layout.laser.baud) is None:
+        cable = cabling.tcp(Speaker.RELAY, breath)
+        return _listen(devices.relay, cable, layout.relay_port, server)
+    grbl = layout.laser is LaserWiring.GRBL
+    device: Device = devices.laser_board if grbl else RtuServer({_DEVICE_ID: devices.relay})
+    line = cabling.serial(Silent(device, breath), Speaker.RELAY)
+    return f"{_serve(Slow(line, baud), server, folder / 'laser')}?baud={baud}"
 
 
 def station_toml(layout: Layout, addresses: Addresses, part_name: str) -> str:
     """Write the station.toml of a layout, with comments."""
-    mounting, sensor = layout.mounting, layout.sensor
-    ramp_s = _SCREW_LEAD_MM * 1000.0 / 60.0 / layout.stage_limits.acceleration  # to 1000 rpm
+    mounting = layout.mounting
     return _STATION.format(
         name=json.dumps(f"simulated station, {part_name}"),
-        addresses=addresses,
-        layout=layout,
+        table=table_toml(layout, addresses.table),
+        stage=stage_toml(layout, addresses.stage),
+        profiler=profiler_toml(layout, addresses.profiler, addresses.profiles),
         mounting=mounting,
-        sensor=sensor,
-        device_id=_DEVICE_ID,
-        steps_per_deg=_STEPS_PER_DEG,
-        table_deg_s=round(math.degrees(layout.table_limits.speed), 9),
-        backlash_deg=round(math.degrees(layout.table_play_rad), 9),
-        zero_deg=layout.table_switch_deg - _PULL_OFF_DEG,
-        pulses_per_turn=_PULSES_PER_TURN,
-        screw_lead_mm=_SCREW_LEAD_MM,
-        home_fast_mm_s=layout.stage_limits.speed / 2.0,
-        home_slow_mm_s=layout.stage_limits.speed / 10.0,
-        ramp_ms=math.floor(1000.0 * ramp_s),
-        lowest_mm=layout.stage_travel_mm[0] + _CLEAR_OF_SWITCH_MM,
-        highest_mm=layout.stage_travel_mm[1] - _CLEAR_OF_SWITCH_MM,
         table_sense=mounting.turning.name.lower().replace("_", "-"),
+        laser=laser_table(
+            layout.laser, addresses.laser, device_id=_DEVICE_ID, watchdog_s=layout.watchdog_s
+        ),
         stage_sense=mounting.lifting.name.lower(),
         sensor_x=mounting.hand.name.lower(),
         azimuth_deg=round(math.degrees(mounting.azimuth_rad), 9),
@@ -257,49 +285,29 @@ def _world(layout: Layout, part: Part, witness: Witness, pace: Pace) -> World:
     )
 
 
-def _grbl_settings(layout: Layout) -> GrblSettings:
-    return GrblSettings(
-        steps_per_deg=_STEPS_PER_DEG,
-        max_rate_deg_min=60.0 * math.degrees(layout.table_limits.speed),
-        acceleration_deg_s2=math.degrees(layout.table_limits.acceleration),
-        homing_seek_deg_min=60.0 * _SEEK_DEG_S,
-        homing_feed_deg_min=60.0 * _FIND_DEG_S,
-        pull_off_deg=_PULL_OFF_DEG,
-        switch_deg=layout.table_switch_deg,
-    )
+def _serial_lines(
+    devices: Devices, layout: Layout, cabling: Cabling, server: Server, folder: Path
+) -> tuple[str, str]:
+    """Serve the lines of both axes; their addresses, the same where they share one."""
+    lines = lines_of(devices.table, devices.stage, layout.stage_baud)
+    if lines.table is lines.stage:
+        both = cabling.serial(lines.table, Speaker.TABLE, Speaker.STAGE)
+        return (f"{_serve(both, server, folder / 'axes')}?baud={lines.baud}",) * 2
+    table = _serve(cabling.serial(lines.table, Speaker.TABLE), server, folder / "table")
+    stage = _serve(cabling.serial(lines.stage, Speaker.STAGE), server, folder / "stage")
+    return f"{table}?baud={_TABLE_BAUD}", f"{stage}?baud={lines.baud}"
 
 
-def _leadshine_settings(layout: Layout) -> LeadshineSettings:
-    return LeadshineSettings(
-        family=Family.CS2RS,  # the one that notices when its motor is held
-        pulses_per_turn=_PULSES_PER_TURN,
-        screw_lead_mm=_SCREW_LEAD_MM,
-        travel_mm=layout.stage_travel_mm,
-    )
+def _serve(device: Device, server: Server, name: Path) -> str:
+    port = Pty(name)
+    server.serve_pty(port, device)
+    return f"serial://{port.path}"
 
 
-def _on_serial_line(device: Device, speaker: Speaker, faults: Faults) -> Device:
-    if speaker in faults.silent_after:
-        device = Silent(device, Breath(faults.silent_after[speaker]))
-    return Garbling(device, faults.garble_every) if faults.garble_every else device
-
-
-def _over_network(source: Broadcaster, faults: Faults) -> Broadcaster:
-    if not faults.profiles:
-        source = Unsent(source)
-    return Dropping(source, faults.drop_every) if faults.drop_every else source
-
-
-def _listen(unit: ModbusUnit, speaker: Speaker, port: int, faults: Faults, server: Server) -> str:
-    """Give one unit a port of its own; all its connections share one breath."""
-    breath = Breath(faults.silent_after[speaker]) if speaker in faults.silent_after else None
-
-    def session() -> Device:
-        served = TcpSession({_DEVICE_ID: unit})
-        return served if breath is None else Silent(served, breath)
-
+def _listen(unit: ModbusUnit, cable: Callable[[Device], Device], port: int, server: Server) -> str:
+    """Give one unit a port of its own."""
     listener = TcpListener(port)
-    server.serve_tcp(listener, session)
+    server.serve_tcp(listener, lambda: cable(TcpSession({_DEVICE_ID: unit})))
     return listener.address
 
 
@@ -308,61 +316,12 @@ _STATION = """\
 # Lengths are mm, angles degrees, times s: every key says so.
 name = {name}
 
-# what turns the part: a Grbl board, whose "mm" are degrees
-[table]
-family = "grbl"
-address = "{addresses.table}"
-letter = "X"
-steps_per_deg = {steps_per_deg}  # the board's $100
-speed_deg_s = {table_deg_s}
-tolerance_deg = 0.05
-backlash_deg = {backlash_deg}
-zero = "switch"  # found again after a power cycle, so that a scan can be resumed
-zero_deg = {zero_deg}  # where it rests after homing: a pull-off before the switch
-lowest_deg = -360.0
-highest_deg = 3600.0  # ten turns
-
-# what lifts the laser plane: a Leadshine drive on Modbus RTU
-[stage]
-family = "leadshine"
-address = "{addresses.stage}"
-device_id = {device_id}
-model = "cs2rs"
-pulses_per_turn = {pulses_per_turn}
-screw_lead_mm = {screw_lead_mm}
-speed_mm_s = {layout.stage_limits.speed}
-home_mark = "limit switch"
-home_way = "negative"
-home_fast_mm_s = {home_fast_mm_s}
-home_slow_mm_s = {home_slow_mm_s}
-home_position_mm = {layout.stage_travel_mm[0]}  # where the limit switch is
-ramp_ms_per_1000_rpm = {ramp_ms}
-tolerance_mm = 0.02
-lowest_mm = {lowest_mm}
-highest_mm = {highest_mm}
-
-# what measures: a Baumer OX200
-[profiler]
-family = "baumer_ox"
-address = "{addresses.profiler}"
-device_id = {device_id}
-profiles = "{addresses.profiles}"  # our end of the wire: here they arrive
-rate_hz = {layout.rate_hz}
-points_per_profile = {sensor.points}
-x_mm_per_count = {sensor.x_mm_per_count}
-z_mm_per_count = {sensor.z_mm_per_count}
-x_offset_mm = {sensor.x_offset_mm}
-z_offset_mm = {sensor.z_offset_mm}
-
-# what switches the laser: an I/O block that drops its outputs when nobody talks to it
+{table}
+{stage}
+{profiler}
+# what switches the laser; a Turck block drops its outputs when nobody talks to it
 [laser]
-switch = "relay"
-family = "turck"
-address = "{addresses.laser}"
-device_id = {device_id}
-output_by = "coil"
-output = 0
-watchdog_s = {layout.watchdog_s}
+{laser}
 
 # how axes and sensor stand: the truth, as far as a ruler could tell it
 [kinematics]

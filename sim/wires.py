@@ -17,11 +17,14 @@ import errno
 import os
 import select
 import socket
+import struct
 import tty
 from pathlib import Path
 from typing import Protocol
 
 _READ_BYTES = 65536
+_UNPLUGGED = -1
+_RESET = struct.pack("ii", 1, 0)  # SO_LINGER: what was not sent is thrown away
 
 
 class HungUp(Exception):  # noqa: N818 (what a line does)
@@ -45,6 +48,10 @@ class Wire(Protocol):
 
     def close(self) -> None:
         """Close it; the other end reads what is under way and then finds the link lost."""
+        ...
+
+    def reset(self) -> None:
+        """Break it off; what is under way may be lost."""
         ...
 
 
@@ -86,6 +93,20 @@ class Pty:
         except BlockingIOError:
             return 0
 
+    def unplug(self) -> None:
+        """Pull the cable: whoever has the port open finds it gone, and its name is gone."""
+        self.path.unlink(missing_ok=True)
+        os.close(self._master)
+        self._master = _UNPLUGGED
+
+    def reset(self) -> None:
+        """A serial line knows no other end than the cable's."""
+        self.unplug()
+
+    def plug(self) -> None:
+        """Put the cable back: another pty, of the same name."""
+        self._master = _new_pty(self.path)
+
     def renew(self) -> None:
         """After a hang-up: put another pty behind the name if nobody could open this one again.
 
@@ -102,8 +123,8 @@ class Pty:
 
     def close(self) -> None:
         """Close; the name is gone, too."""
-        self.path.unlink(missing_ok=True)
-        os.close(self._master)
+        if self._master != _UNPLUGGED:
+            self.unplug()
 
     def _events(self) -> int:
         poll = select.poll()
@@ -184,6 +205,11 @@ class TcpWire:
             return 0
         except OSError as gone:
             raise HungUp from gone
+
+    def reset(self) -> None:
+        """Break it off, as a device does that lost its power or its way."""
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
+        self._socket.close()
 
     def close(self) -> None:
         """Close."""

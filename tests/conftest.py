@@ -42,9 +42,18 @@ def part_points() -> FloatArray:
 @pytest.fixture(scope="session")
 def saved(part_points: FloatArray, tmp_path_factory: pytest.TempPathFactory) -> Saved:
     """The part of `command_cases` through the console script, all files, in its own process."""
-    place = tmp_path_factory.mktemp("saved")
-    cloud = write_cloud(place / "part.xyz", part_points)
-    child = start("reconstruct", cloud, "--out", place / "result", "--tolerance-mm", "1")
+    return _save(part_points, tmp_path_factory.mktemp("saved"))
+
+
+@pytest.fixture(scope="session")
+def paper_saved(part_points: FloatArray, tmp_path_factory: pytest.TempPathFactory) -> Saved:
+    """The same, by the method of the paper."""
+    return _save(part_points, tmp_path_factory.mktemp("paper"), "--method", "paper")
+
+
+def _save(points: FloatArray, place: Path, *options: str) -> Saved:
+    cloud = write_cloud(place / "part.xyz", points)
+    child = start("reconstruct", cloud, "--out", place / "result", "--tolerance-mm", "1", *options)
     stdout, stderr = child.communicate(timeout=120)
     assert child.returncode == 0, stderr
     return Saved(cloud, place / "result", stdout, stderr)
@@ -56,6 +65,27 @@ def part_result(part_points: FloatArray) -> Result:
     from loftscan import reconstruct
 
     return reconstruct(part_points, tolerance_mm=1.0)
+
+
+@pytest.fixture(autouse=True)
+def patient_guards(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leases of seconds where pytest itself owns a station.
+
+    Machines that test also stall, and a guard kills the process that lets its lease lapse: that
+    would be pytest. The true time to live is that of every process of its own, as `make safety`
+    and the tests of the guard start them.
+    """
+    import acquisition.opening
+
+    monkeypatch.setattr(acquisition.opening, "TTL_S", 3.0)
+
+
+@pytest.fixture(scope="session")
+def paper_result(part_points: FloatArray) -> Result:
+    """The same part by the method of the paper."""
+    from loftscan import reconstruct
+
+    return reconstruct(part_points, method="paper", tolerance_mm=1.0)
 
 
 @pytest.fixture

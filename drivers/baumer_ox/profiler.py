@@ -31,7 +31,9 @@ from drivers.baumer_ox.wire import (
 from drivers.bus import Bus
 from drivers.errors import NoReply, Refused
 from drivers.links import ByteLink
+from drivers.modbus_recipes import without_bits, write_register
 from drivers.profiler import Profile, Reason, Tally
+from drivers.recipes import Order, Recipe
 
 _SLICE_S = 0.05  # the longest single wait
 _QUIET_S = 0.025  # frames of one block are back to back: a silence so long is its end
@@ -164,6 +166,14 @@ class BaumerOx:
                 break
         self._waiting.clear()
         self._assembler.restart()
+
+    def recipes(self) -> tuple[Recipe, ...]:
+        """Leave parametrisation, in which a program may have died; see `drivers.recipes`."""
+        device_id = self._settings.device_id
+        leave = write_register(self._bus, device_id, registers.LEAVE_PARAMETRISATION, 1)
+        left = without_bits(self._bus, device_id, 4, registers.READINGS.first, 1)
+        name, quiet_s = "profiler", self._bus.quiet_s
+        return (Recipe(name, Order.SENSOR, (leave,), (left,), quiet_s, rest_s=0.2),)
 
     def tally(self) -> Tally:
         """What was lost so far."""

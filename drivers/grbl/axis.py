@@ -24,27 +24,26 @@ from drivers.axis import AxisState, Identity, Kind, Motion, Pause
 from drivers.endings import unless_done
 from drivers.errors import NoReply, Refused
 from drivers.grbl.conversation import (
-    ANSWER_S,
     BANNER_S,
     QUIET_S,
-    REPORT_S,
     Conversation,
-    Lines,
     axis_index,
+    homing_line,
     homing_s,
     identity_of,
-    is_held,
     machine_coordinate,
     motion_of,
-    place_of,
-    rests,
 )
 from drivers.grbl.messages import Error, State, Status, error_name, error_remedy
+from drivers.grbl.reference import PinSearch, check_home, check_travel
 from drivers.grbl.settings import Homing, Settings
+from drivers.grbl.stopping import Rest, come_to_rest, reset_held
 from drivers.grbl.wire import FENCE, Realtime, feed_move, jog
 from drivers.links import ByteLink
+from drivers.recipes import Order, Recipe, Word
 
-_STOP_POLL_S: Final = 0.05
+_GENTLY_S: Final = 0.1
+RESET_S: Final = 0.2  # until the banner of a board that is up
 _PLANNER_S: Final = 0.1  # idle for so long somewhere else, a move is over and not yet to begin
 _UNHOMED_JOG: Final = 1.0  # degree or mm, from where the axis stands
 
@@ -64,7 +63,6 @@ _ENDING: Final = {
     _Doing.FEED: Realtime.HOLD,
     _Doing.HOMING: Realtime.RESET,  # the homing loop hears nothing else
 }
-_ENDING_OF: Final = {State.RUN: Realtime.HOLD, State.JOG: Realtime.JOG_CANCEL}
 
 
 class GrblAxis:
@@ -119,6 +117,8 @@ class GrblAxis:
         if self._settings.homing is Homing.SWITCH:
             self._find_switch(pause)
         status = self._idle(pause)
+        if self._settings.homing is Homing.SWITCH:
+            check_home(self._talk, self._index(), self._name, self._machine(status))
         self._zero = self._machine(status) - self._settings.to_wire(self._settings.home_position)
         self._homed_at = self._talk.dialogue.upsets
         return self._axis_state(status)
@@ -128,12 +128,40 @@ class GrblAxis:
         self._settings.check_limits(position)
         if not self._homed:
             raise Refused(f"{self._name}: not homed; home it first")
+        check_travel(self._talk, self._index(), self._settings, position, self._zero)
         return self._travel(self._settings.to_wire(position), _Doing.FEED, pause)
 
     def jog_to(self, position: float, pause: Pause) -> AxisState:
         """Move by a jog: cancelled by one byte, refused beyond the controller's own travel."""
         self._settings.check_limits(position)
         return self._travel(self._settings.to_wire(position), _Doing.JOG, pause)
+
+    def check_reference(self, pause: Pause, *, turns: int = 0) -> float:
+        """Look where the home switch is now; how far from where it must be, in the axis's unit.
+
+        The controller counts the steps that it sends. That they were made, and that a unit has as
+        many of them as everybody says, only the switch knows: it is approached from the place of
+        home, or `turns` whole turns of a table away from it.
+
+        Raises
+        ------
+        Refused
+            Off by more than the axis tolerates: "homed" is lost. Or it cannot be looked for:
+            software zero, or limits switched on in the controller.
+        """
+        self._settings.check_turns(turns)
+        place = self._settings.home_position + turns * math.tau
+        self.move_to(place, pause)
+        search = PinSearch.of(self._talk, self._index(), self._settings)
+        start = self._settings.to_wire(place) + self._zero
+        with self._stopped_unless_done(_Doing.JOG):
+            off = search.off(search.creep(start, pause))
+        self.stop()
+        if abs(off) > self._tolerance():
+            self._homed_at = None
+            raise search.refusal(off)
+        self.move_to(place, pause)
+        return self._settings.from_wire(off)
 
     def stop(self) -> None:
         """Stop, gently if the controller can, else by a reset that loses the position.
@@ -149,7 +177,9 @@ class GrblAxis:
         """
         doing, self._doing = self._doing, _Doing.NOTHING
         self._taken_up = False
-        if doing is not _Doing.HOMING and self._comes_to_rest(_ENDING[doing]):
+        if doing is not _Doing.HOMING and self._rested(
+            come_to_rest(self._talk, _ENDING[doing], 2 * self._braking_s() + 1.0)
+        ):
             if doing is _Doing.JOG:
                 self._talk.dialogue.give_up()  # asks whether lines are heard before the next
             return
@@ -159,6 +189,21 @@ class GrblAxis:
                 f"{self._name}: the stop was not confirmed in {BANNER_S} s; press the"
                 " emergency stop"
             )
+
+    def recipes(self) -> tuple[Recipe, ...]:
+        """Hold or cancel, then reset; see `drivers.recipes`.
+
+        The reset comes after a tenth of a second, standing or not: homing hears nothing else, and
+        the position is a dead program's, which nobody will believe again.
+        """
+        gentle = Word(Realtime.HOLD.wire + Realtime.JOG_CANCEL.wire, b"", 0.0)
+        reset = Word(Realtime.RESET.wire, rb"Grbl\w* \S+ \[", RESET_S)
+        stands = Word(Realtime.STATUS.wire, rb"<(?:Idle|Hold:0|Alarm|Door:[01]|Sleep)[|>]", 0.03)
+        name = self._name
+        return (
+            Recipe(name, Order.AXIS, (gentle,), (stands,), rest_s=_GENTLY_S),
+            Recipe(f"{name}, reset", Order.AXIS, (reset,), (stands,)),
+        )
 
     # --- moving ------------------------------------------------------------------------------
 
@@ -276,49 +321,16 @@ class GrblAxis:
         if not int(self._talk.setting(22)) & 1:  # grblHAL: a mask, bit 0 enables
             raise Refused(f"{self._name}: {error_name(5)}; {error_remedy(5)}", code=5)
         with self._stopped_unless_done(_Doing.HOMING):
-            self._talk.exchange("$H", pause, within_s=homing_s(self._talk))
+            line = homing_line(self._talk, self._settings.letter)
+            self._talk.exchange(line, pause, within_s=homing_s(self._talk))
 
     # --- stopping ----------------------------------------------------------------------------
 
-    def _comes_to_rest(self, ending: Realtime) -> bool:
-        """Say `ending`, watch until the controller stands with no line left.
-
-        It is said again only for a line that had not been answered at the time: a jog cancel that
-        arrives just after the jog's end leaves Grbl 1.1h suspended, idle and deaf to lines.
-        """
-        deadline_s = self._talk.clock() + 2 * self._braking_s() + 1.0
-        said = self._say(ending)
-        before: Status | None = None
-        while self._talk.clock() < deadline_s and not self._talk.dialogue.locked:
-            status = self._talk.report(None, within_s=2 * _STOP_POLL_S)
-            if status is not None:
-                if is_held(status):
-                    return self._reset_held(status)
-                if status.state is State.HOME:
-                    return False
-                due = _ENDING_OF.get(status.state)
-                if due is not None and said != (due, Lines.ANSWERED):
-                    said = self._say(due)
-                elif before is not None and rests(before, status):
-                    # A line that was not answered could still start: a reset drops it.
-                    return self._talk.lines is Lines.ANSWERED or self._reset_held(status)
-                before = status
-            self._talk.until(lambda: False, _STOP_POLL_S, None)
-        return self._talk.dialogue.locked
-
-    def _say(self, ending: Realtime) -> tuple[Realtime, Lines]:
-        lines = self._talk.lines
-        self._talk.write(ending.wire)
-        return ending, lines
-
-    def _reset_held(self, held: Status) -> bool:
-        """Reset where nothing moves: lines and queue are dropped, the position is kept."""
-        if not self._talk.reset(None, within_s=ANSWER_S):
-            return False
-        after = self._talk.report(None, within_s=REPORT_S)
-        if after is None or place_of(after) != place_of(held):
+    def _rested(self, rest: Rest) -> bool:
+        """Whether it stands; forgets "homed" where the place was not kept."""
+        if not rest.kept:
             self._homed_at = None
-        return True
+        return rest.done
 
     # --- asking ------------------------------------------------------------------------------
 
@@ -330,12 +342,19 @@ class GrblAxis:
             self._open(pause)
         if self._talk.dialogue.fenced:
             return
-        try:
-            self._talk.exchange(FENCE, pause)
-        except NoReply:  # a torn line swallowed it, or the controller is suspended
-            status = self._talk.status(pause)
-            if motion_of(status) is Motion.MOVING or not self._reset_held(status):
-                raise
+        lost: NoReply | None = None
+        if not self._talk.dialogue.mute:
+            try:
+                self._talk.exchange(FENCE, pause)
+            except NoReply as unanswered:  # a torn line swallowed it, or it is suspended
+                lost = unanswered
+            else:
+                return
+        status = self._talk.status(pause)
+        if motion_of(status) is Motion.MOVING or not self._rested(reset_held(self._talk, status)):
+            raise NoReply(
+                f"{self._name}: does not answer lines any more; stop it, then home"
+            ) from lost
 
     def _open(self, pause: Pause | None) -> Identity:
         """Handshake that needs no banner: an open port may have swallowed it."""

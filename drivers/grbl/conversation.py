@@ -6,6 +6,7 @@ thing out of what the controller said, and ask nothing.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from enum import Enum
 from typing import Final
@@ -32,6 +33,8 @@ BANNER_S: Final = 2.5  # an Arduino's boot loader takes 2 s after the port opens
 QUIET_S: Final = 0.1
 _STEP_S: Final = 0.005  # between looks at the link while an answer is due
 _DRAIN_READS: Final = 64
+_OLDEST: Final = 1.1  # of the firmware
+_SINGLE_AXIS: Final = 1 << 1  # of grblHAL's $22
 
 
 class Lines(Enum):
@@ -194,8 +197,19 @@ def identity_of(talk: Conversation) -> Identity:
     version, _, label = feedback.get("VER", "").partition(":")
     if not version:
         raise FrameError(f"{talk.name}: $I was answered without a version; is this a Grbl?")
+    number = re.match(r"\d+\.\d+", version)
+    if number is None or float(number[0]) < _OLDEST:
+        raise Refused(
+            f"{talk.name}: firmware {version}; jogs and reports came with Grbl {_OLDEST}: update it"
+        )
     model = banner.firmware if banner else "Grbl"
     return Identity(family="grbl", model=model, firmware=version, serial=label)
+
+
+def homing_line(talk: Conversation, letter: str) -> str:
+    """The axis alone where grblHAL allows it: nobody else's axis is moved by our homing."""
+    hal = talk.dialogue.feedback.get("FIRMWARE") == "grblHAL"
+    return f"$H{letter}" if hal and int(talk.setting(22)) & _SINGLE_AXIS else "$H"
 
 
 def homing_s(talk: Conversation) -> float:

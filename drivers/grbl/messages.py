@@ -7,8 +7,8 @@ for each line; everything else is a push and answers nothing::
     Alarm, Status, Banner, Feedback,           pushes; may come between a line and its answer
     Setting, StartupLine, Unknown
 
-The names are those of its doc/csv tables. grblHAL and FluidNC use further numbers: those keep
-their number and are called unknown.
+The names are those of its doc/csv tables, and of errors.h and alarms.h of grblHAL/core for the
+numbers that it adds. FluidNC has further ones: those keep their number and are called unknown.
 """
 
 from __future__ import annotations
@@ -147,7 +147,10 @@ _GRAMMAR: Final[tuple[tuple[re.Pattern[str], Callable[[re.Match[str]], Message]]
     (re.compile(r"error:(\d{1,5})", re.ASCII), lambda found: Error(int(found[1]))),
     (re.compile(r"ALARM:(\d{1,5})", re.ASCII), lambda found: Alarm(int(found[1]))),
     (re.compile(r"\$(\d{1,5})=(.*)", re.ASCII), lambda found: Setting(int(found[1]), found[2])),
-    (re.compile(r"\[([A-Za-z0-9]+):(.*)\]"), lambda found: Feedback(found[1], found[2])),
+    (
+        re.compile(r"\[([A-Za-z0-9][A-Za-z0-9 ]*):(.*)\]"),
+        lambda found: Feedback(found[1], found[2]),
+    ),
     (re.compile(r">(?P<line>.*):(?:ok|error:(?P<error>\d{1,5}))", re.ASCII), _startup),
     # GrblHAL and FluidNC greet as well: "GrblHAL 1.1f ['$' or '$HELP' for help]".
     (
@@ -312,12 +315,12 @@ def _feed_field(feed: float, spindle: float | None) -> str:
 
 def error_name(number: int) -> str:
     """Name of an error, such as ``error:9 (locked by an alarm or a jog)``."""
-    return f"error:{number} ({ERRORS.get(number, 'unknown to Grbl 1.1h')})"
+    return f"error:{number} ({ERRORS.get(number, 'unknown')})"
 
 
 def alarm_name(number: int) -> str:
     """Name of an alarm, such as ``ALARM:1 (hard limit)``."""
-    return f"ALARM:{number} ({ALARMS.get(number, 'unknown to Grbl 1.1h')})"
+    return f"ALARM:{number} ({ALARMS.get(number, 'unknown')})"
 
 
 def error_remedy(number: int) -> str:

@@ -1,6 +1,7 @@
-"""Names of the errors and alarms of Grbl 1.1h, and what an operator can do about them.
+"""Names of the errors and alarms of Grbl 1.1h and grblHAL, and what an operator can do about them.
 
-Numbers that grblHAL and FluidNC add stand in none of these tables: `messages` calls them unknown.
+Below them those that grblHAL adds (errors.h and alarms.h of grblHAL/core @8689918) as far as an
+axis meets them. What stands in none of these tables `messages` calls unknown.
 """
 
 from __future__ import annotations
@@ -45,6 +46,19 @@ ERRORS: Final = {
     36: "unused value words",
     37: "tool offset on the wrong axis",
     38: "tool number too large",
+    # grblHAL's own
+    18: "reset asserted",
+    19: "value must be above zero",
+    39: "value out of range",
+    43: "feed rate above the maximum",
+    45: "limit switch engaged",
+    46: "homing required",
+    50: "emergency stop",
+    51: "motor fault",
+    52: "setting out of range",
+    53: "setting not available",
+    55: "homing configuration not possible",
+    79: "not while a critical event is active",
 }
 
 # doc/csv/alarm_codes_en_US.csv of gnea/grbl, shortened.
@@ -58,7 +72,12 @@ ALARMS: Final = {
     7: "door opened during homing",
     8: "homing did not clear the switch",
     9: "homing did not find the switch",
-    10: "homing did not find the second switch",
+    10: "homing did not find the second switch; on grblHAL: emergency stop",
+    # grblHAL's own
+    11: "homing required",
+    12: "limit switch engaged",
+    17: "motor fault",
+    18: "homing failed",
 }
 
 ERROR_REMEDIES: Final = {
@@ -68,6 +87,10 @@ ERROR_REMEDIES: Final = {
     13: "close the safety door",
     15: "widen $130 to $132, or switch soft limits off with $20=0",
     22: "give the move a speed",
+    45: "free the axis from its switch",
+    46: "home it",
+    50: "release the emergency stop, then home",
+    51: "check motor and driver, then home",
 }
 
 ALARM_REMEDIES: Final = {
@@ -78,5 +101,9 @@ ALARM_REMEDIES: Final = {
     7: "close the door and home again",
     8: "raise the pull-off $27 or check the switch's wiring, then home",
     9: "check the switch and the travel $130 to $132, then home",
-    10: "check the second switch, then home",
+    10: "check the second switch, or release the emergency stop; then home",
+    11: "home it",
+    12: "free the axis from its switch, then home",
+    17: "check motor and driver, then home",
+    18: "check the switches and the homing settings, then home",
 }

@@ -77,6 +77,13 @@ class Settings:
                 f" {lower:.3f} to {upper:.3f}; change the target or the limits"
             )
 
+    def check_turns(self, turns: int) -> None:
+        """Refuse whole turns of an axis that does not turn, and a reference without a switch."""
+        if turns and self.kind is not Kind.ROTARY:
+            raise ValueError(f"{self.name}: a linear axis has no turns")
+        if self.homing is not Homing.SWITCH:
+            raise Refused(f"{self.name}: has no switch to compare with; its zero is where it stood")
+
     def check_steps(self, steps: float, *, code: int) -> None:
         """Refuse a controller whose steps a unit (its setting `code`) do not fit the station."""
         if abs(steps - self.steps_per_unit) > 0.00051:  # $$ prints three decimals

@@ -177,7 +177,8 @@ class Dialogue:
     Pure: `send` and `reset` return the bytes to write, `feed` takes what was read. After an answer
     was given up as lost, the next line must be a fence: `$G` prints ``[GC:..]`` before its own ok,
     so that whatever comes before it is a late answer, and a torn line still lying in the board's
-    buffer becomes an error instead of a motion.
+    buffer becomes an error instead of a motion. A fence given up in its turn could be taken for the
+            A line is outstanding; it is mute; the last answer was given up and this is no fence.
     """
 
     decoder: LineDecoder = field(default_factory=LineDecoder)
@@ -195,6 +196,7 @@ class Dialogue:
     stray_answers: int = 0
     unknown_lines: int = 0
     fenced: bool = True
+    mute: bool = False  # a fence was given up: nothing but a reset
 
     def send(self, line: str) -> bytes:
         """Return one line's bytes; the line before must have been answered or given up.
@@ -202,10 +204,12 @@ class Dialogue:
         Raises
         ------
         ValueError
-            A line is outstanding, or the last answer was given up and this is no fence.
+            A line is outstanding; the last answer was given up and this is no fence; it is mute.
         """
         if self.outstanding:
             raise ValueError(f"grbl: {self.outstanding!r} is still outstanding")
+        if self.mute:
+            raise ValueError(f"grbl: {line!r} before a reset after a lost fence")
         if not self.fenced and line != FENCE:
             raise ValueError(f"grbl: {line!r} before the fence after a lost answer")
         data = line_bytes(line)
@@ -226,6 +230,7 @@ class Dialogue:
 
     def give_up(self) -> None:
         """No longer wait for the outstanding answer; it may still come."""
+        self.mute = self.mute or self.outstanding == FENCE
         self.outstanding = ""
         self.fenced = False
 
@@ -237,6 +242,7 @@ class Dialogue:
     def reset(self) -> bytes:
         """Return a soft reset: the board forgets every line, and so do we."""
         self.outstanding, self.answer, self.banner, self.fenced = "", None, None, True
+        self.mute = False
         self.reset_asked = True
         return Realtime.RESET.wire
 
@@ -288,6 +294,7 @@ class Dialogue:
     def _take_banner(self, banner: Banner) -> None:
         self.upsets += not self.reset_asked
         self.outstanding, self.answer, self.banner, self.fenced = "", None, banner, True
+        self.mute = False
         self.reset_asked = self.locked = False
 
 

@@ -1,7 +1,8 @@
 """Leadshine PR drives (CS2RS, EM2RS, iEM-RS, DM556RS; CL57RS) as a linear stage on Modbus RTU."""
 
-from drivers.leadshine.axis import Homing, LeadshineStage, StageSettings
+from drivers.leadshine.axis import LeadshineStage
 from drivers.leadshine.registers import HomingMethod, HomingSense, Model
+from drivers.leadshine.settings import Homing, StageSettings
 
 __all__ = [
     "Homing",

@@ -16,7 +16,6 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 
 from drivers.axis import AxisState, Identity, Kind, Motion, Pause
 from drivers.bus import Bus
@@ -24,128 +23,30 @@ from drivers.endings import unless_done
 from drivers.errors import DriverError, FrameError, LinkLost, NoReply, Refused
 from drivers.leadshine.registers import (
     DAMAGED_REQUEST,
+    LIMITED,
     RESET_ALARM,
-    HomeSearch,
-    HomingMethod,
-    HomingSense,
     LoopMode,
-    Model,
     Path,
-    PathMode,
     Register,
     Status,
     Trigger,
     Watch,
     alarm_name,
+    alarm_remedy,
     homing_block,
     path_block,
     value_of,
     words_of,
 )
+from drivers.leadshine.settings import StageSettings
+from drivers.modbus_recipes import without_bits, write_register
+from drivers.recipes import Order, Recipe
 
 _POLL_S = 0.02
 _STOP_TRIES = 3
+_UNHOMED_JOG_MM = 1.0
 _FAMILY = "leadshine"
 _NOT_THERE = (2, 3)  # Modbus exceptions: illegal address, illegal value
-
-
-@dataclass(frozen=True, slots=True)
-class Homing:
-    """How the stage finds its reference."""
-
-    method: HomingMethod
-    sense: HomingSense
-    fast_mm_s: float
-    slow_mm_s: float
-    reference_mm: float = 0.0  # what the position is called there
-    creep_mm: float = 10.0  # at most this far at the slow speed; the deadline needs it
-
-
-@dataclass(frozen=True, slots=True)
-class StageSettings:
-    """What the drive cannot tell: the screw behind the motor and what is allowed on it."""
-
-    model: Model
-    pulses_per_rev: int  # must be what the drive's 0x0001 reads
-    lead_mm: float  # travel of one revolution; the sense is the drive's own setting, 0x0007
-    low_mm: float  # the soft limits
-    high_mm: float
-    speed_mm_s: float
-    tolerance_mm: float  # between the position asked for and the one read back
-    homing: Homing
-    acceleration_ms: int = 200  # for 1000 rpm
-    deceleration_ms: int = 200
-    settle_s: float = 0.2  # longer than the drive needs from the frame to "running"
-    slack_s: float = 2.0  # a move may take this much longer than computed
-
-    def __post_init__(self) -> None:
-        if not (0.0 < self.lead_mm < math.inf and 200 <= self.pulses_per_rev <= 51200):
-            raise ValueError(
-                f"lead {self.lead_mm} mm, {self.pulses_per_rev} pulses: lead_mm must be above 0, "
-                "pulses_per_rev from 200 to 51200"
-            )
-        if not -math.inf < self.low_mm < self.high_mm < math.inf:
-            raise ValueError(f"soft limits {self.low_mm} to {self.high_mm} mm are no range")
-        for name in ("tolerance_mm", "settle_s", "slack_s"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name} is {getattr(self, name)}, must be above 0 and finite")
-        for end_mm in (self.low_mm, self.high_mm):
-            words_of(self.counts(end_mm))
-        path_block(self.path_to(self.low_mm))
-        homing_block(self.home_search())
-
-    @property
-    def steps_per_mm(self) -> float:
-        """Counts of the drive for one millimetre."""
-        return self.pulses_per_rev / self.lead_mm
-
-    def counts(self, position_mm: float) -> int:
-        """Position on the wire."""
-        return round(position_mm * self.steps_per_mm)
-
-    def rpm(self, speed_mm_s: float) -> int:
-        """Speed on the wire, the nearest whole rpm; ValueError below half of one."""
-        rpm = speed_mm_s * 60.0 / self.lead_mm
-        if not 0.5 < rpm < math.inf:
-            raise ValueError(f"{speed_mm_s} mm/s is {rpm:.2f} rpm on this screw, less than 1")
-        return round(rpm)
-
-    def path_to(self, position_mm: float) -> Path:
-        """Return the move to an absolute position."""
-        return Path(
-            mode=PathMode.ABSOLUTE,
-            position_counts=self.counts(position_mm),
-            speed_rpm=self.rpm(self.speed_mm_s),
-            acceleration_ms=self.acceleration_ms,
-            deceleration_ms=self.deceleration_ms,
-        )
-
-    def home_search(self) -> HomeSearch:
-        """Return the search for the reference."""
-        return HomeSearch(
-            method=self.homing.method,
-            sense=self.homing.sense,
-            reference_counts=self.counts(self.homing.reference_mm),
-            fast_rpm=self.rpm(self.homing.fast_mm_s),
-            slow_rpm=self.rpm(self.homing.slow_mm_s),
-            acceleration_ms=self.acceleration_ms,
-            deceleration_ms=self.deceleration_ms,
-        )
-
-    def move_s(self, distance_mm: float) -> float:
-        """Return the time within which a move must be over: cruise, ramps, settling, slack."""
-        rpm = self.rpm(self.speed_mm_s)
-        cruise_s = abs(distance_mm) * 60.0 / (rpm * self.lead_mm)
-        ramps_s = (self.acceleration_ms + self.deceleration_ms) / 1000.0 * rpm / 1000.0
-        return cruise_s + ramps_s + self.settle_s + self.slack_s
-
-    def homing_s(self) -> float:
-        """Return the time within which the reference must be found: there, back, and creeping."""
-        search = self.home_search()
-        fast_mm_s = search.fast_rpm * self.lead_mm / 60.0
-        slow_mm_s = search.slow_rpm * self.lead_mm / 60.0
-        searching_s = 2.0 * (self.high_mm - self.low_mm) / fast_mm_s
-        return searching_s + self.homing.creep_mm / slow_mm_s + self.settle_s + self.slack_s
 
 
 class LeadshineStage:
@@ -187,12 +88,13 @@ class LeadshineStage:
         }
         loop = loops.get(mode, f"loop mode {mode}")
         pulses = self._read(Register.PULSES_PER_REV)
+        way = ", reversed" if self._read_if_there(Register.DIRECTION) == 1 else ""
         versions = (
             f"{register.name.lower()} 0x{value:04X}"
             for register in (Register.VERSION, Register.FIRMWARE)
             if (value := self._read_if_there(register)) is not None
         )
-        model = f"{self._settings.model.value}, {loop}, {pulses} pulses/rev"
+        model = f"{self._settings.model.value}, {loop}, {pulses} pulses/rev{way}"
         return Identity(_FAMILY, model, " ".join(versions))
 
     def state(self) -> AxisState:
@@ -206,7 +108,8 @@ class LeadshineStage:
         self._homed = False
         timeout_s = self._settings.homing_s()
         with unless_done(self._give_up):
-            self._write(Register.HOMING, homing_block(self._settings.home_search()))
+            self._lift_limits()
+            self._keep(Register.HOMING, homing_block(self._settings.home_search()))
             self._homing = True
             # Never re-sent either: a lost answer shows in the status, as a lost request does.
             with suppress(NoReply, FrameError):
@@ -216,10 +119,12 @@ class LeadshineStage:
             # The bit may be of the previous homing: without a start it proves nothing.
             if not (watch.started and Status.HOMED in status):
                 raise Refused(
-                    f"{self._name}: homing found no reference, the drive stands; "
-                    "check the switch, its input and the direction of the search"
+                    f"{self._name}: homing found no reference, the drive stands"
+                    f"{self._inputs_closed()}; check the switch, its input and the direction of"
+                    " the search"
                 )
             self._homing = False
+            self._set_limits()
             self._homed = True
             return self._state_of(status)
 
@@ -229,9 +134,22 @@ class LeadshineStage:
         self._must_be_homed()
         self._must_be_ready()
         self._must_be_homed()  # the drive may have said otherwise
-        timeout_s = self._settings.move_s(position - self._position_mm())
+        return self._travel(position, self._settings.speed_mm_s, pause)
+
+    def jog_to(self, position: float, pause: Pause) -> AxisState:
+        """Move slowly; unhomed by a millimetre at most, in the drive's own count."""
+        self._must_be_inside(position)
+        self._must_be_ready()
+        self._must_have_the_scale()
+        if not self._homed and abs(position - self._position_mm()) > _UNHOMED_JOG_MM:
+            raise Refused(f"{self._name}: not homed; it jogs at most {_UNHOMED_JOG_MM:g} mm")
+        speed_mm_s = min(self._settings.homing.slow_mm_s, self._settings.speed_mm_s)
+        return self._travel(position, speed_mm_s, pause)
+
+    def _travel(self, position: float, speed_mm_s: float, pause: Pause) -> AxisState:
+        timeout_s = self._settings.move_s(position - self._position_mm(), speed_mm_s)
         with unless_done(self._give_up):
-            lost = self._start(self._settings.path_to(position))
+            lost = self._start(self._settings.path_to(position, speed_mm_s))
             watch = self._watch(Status.PATH_COMPLETE)
             status = self._wait(watch, f"the move to {position:.3f} mm", timeout_s, pause)
             state = self._state_of(status)
@@ -255,6 +173,14 @@ class LeadshineStage:
                     raise
             else:
                 return
+
+    def recipes(self) -> tuple[Recipe, ...]:
+        """Stop, and read the status until it no longer runs; see `drivers.recipes`."""
+        bus, device_id = self._bus, self._device_id
+        stop = write_register(bus, device_id, Register.TRIGGER, Trigger.STOP)
+        stands = without_bits(bus, device_id, 3, Register.STATUS, Status.RUNNING)
+        wire_s, rest_s = bus.wire_s(len(stop.send)), self._settings.braking_s() + 0.5
+        return (Recipe(self._name, Order.AXIS, (stop,), (stands,), bus.quiet_s, wire_s, rest_s),)
 
     def clear_alarm(self) -> None:
         """Reset the drive's alarm, once, because a person asked; forgets "homed"."""
@@ -295,6 +221,34 @@ class LeadshineStage:
         except DriverError as failed:
             raise Refused(f"{self._name}: the stop failed: {failed}") from failed
 
+    def _lift_limits(self) -> None:
+        """The drive's own limits are in a count that homing is about to change."""
+        flags = self._read_if_there(Register.PATHS)
+        if flags is not None and flags & LIMITED:
+            self._keep(Register.PATHS, [flags & ~LIMITED])
+
+    def _set_limits(self) -> None:
+        """Have the drive mind the soft limits, too; nothing is saved in it."""
+        flags = self._read_if_there(Register.PATHS)
+        if flags is not None:
+            ends = (self._settings.high_mm, self._settings.low_mm)
+            words = [word for end in ends for word in words_of(self._settings.counts(end))]
+            self._keep(Register.SOFT_LIMITS, words)
+            self._keep(Register.PATHS, [flags | LIMITED])
+
+    def _keep(self, first: Register, words: Sequence[int]) -> None:
+        """Write parameters once; where the answer was lost they are read back and compared."""
+        try:
+            if len(words) == 1:
+                self._write_one(first, words[0])
+            else:
+                self._write(first, words)
+        except (NoReply, FrameError):
+            with self._on_the_bus():
+                found = self._bus.read_holding(self._device_id, first, len(words))
+            if found != tuple(words):
+                raise
+
     def _must_be_inside(self, position_mm: float) -> None:
         low_mm, high_mm = self._settings.low_mm, self._settings.high_mm
         if not math.isfinite(position_mm):
@@ -320,7 +274,7 @@ class LeadshineStage:
             code = self._read(Register.ALARM)
             raise Refused(
                 f"{self._name}: alarm {alarm_name(self._settings.model, code)}; "
-                "remove the cause, clear the alarm, home again",
+                f"{alarm_remedy(self._settings.model, code)}, clear the alarm, home again",
                 code=code,
             )
         if Status.ENABLED not in status:
@@ -382,6 +336,14 @@ class LeadshineStage:
             if refused.code not in _NOT_THERE:
                 raise
             return None
+
+    def _inputs_closed(self) -> str:
+        """Which inputs are closed, for a message; empty where the drive does not tell."""
+        word = self._read_if_there(Register.INPUTS)
+        if word is None:
+            return ""
+        closed = [f"SI{k + 1}" for k in range(7) if word >> k & 1]
+        return f", inputs closed: {', '.join(closed) or 'none'}"
 
     def _write_one(self, register: Register, value: int) -> None:
         with self._on_the_bus():

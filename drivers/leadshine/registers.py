@@ -25,13 +25,17 @@ class Register(IntEnum):
 
     PULSES_PER_REV = 0x0001
     LOOP_MODE = 0x0003
+    DIRECTION = 0x0007
+    INPUTS = 0x0179  # bit 0 is SI1
     VERSION = 0x01FF  # this and the next from public code, not from a manual
     FIRMWARE = 0x0201
     STATUS = 0x1003
     CONTROL_WORD = 0x1801
     ALARM = 0x2203
+    PATHS = 0x6000  # what holds for every path; bit 1: the soft limits
     TRIGGER = 0x6002
-    HOMING = 0x600A  # nine words, see `homing_block`
+    SOFT_LIMITS = 0x6006  # four words: upper, lower
+    HOMING = 0x600A  # nine words or eleven, see `homing_block`
     MOTOR_POSITION = 0x602C  # and 0x602D, signed, high word first
     PATH_0 = 0x6200  # eight words, see `path_block`
 
@@ -64,12 +68,13 @@ class PathMode(IntEnum):
 
 
 class HomingMethod(IntEnum):
-    """What the drive looks for: bits 2 and 3 of 0x600A."""
+    """What the drive looks for: bits 2, 3 and 5 of 0x600A."""
 
     LIMIT_SWITCH = 0x00
     HOME_SWITCH = 0x04
     INDEX_PULSE = 0x08
     TORQUE = 0x0C
+    HERE = 0x20  # nothing: where it stands is the reference
 
 
 class HomingSense(IntEnum):
@@ -86,6 +91,7 @@ class LoopMode(IntEnum):
     CLOSED = 2
 
 
+LIMITED = 0x0002  # of 0x6000
 RESET_ALARM = 0x1111  # to the control word
 DAMAGED_REQUEST = 0x08  # this drive's own exception: the checksum of our request was wrong
 
@@ -117,6 +123,26 @@ ALARMS: Mapping[Model, Mapping[int, str]] = MappingProxyType(
         ),
     }
 )
+
+
+# What an operator can do; by the name, which is one for both tables.
+REMEDIES: Mapping[str, str] = MappingProxyType(
+    {
+        "over-current": "switch it off, check motor and cable for a short",
+        "over-voltage": "check the supply, or decelerate more gently",
+        "over-temperature": "let it cool down",
+        "encoder disconnected": "switch it off, check the encoder's cable",
+        "shaft locking failed, a motor phase is open": "switch it off, check the motor's cable",
+        "following error": "remove what is in its way",
+        "two inputs have the same function": "correct what its inputs mean, 0x0145 to 0x0151",
+        "EEPROM fault": "restore its factory settings",
+    }
+)
+
+
+def alarm_remedy(model: Model, code: int) -> str:
+    """What an operator can do about an alarm."""
+    return REMEDIES.get(ALARMS[model].get(code, ""), "remove the cause")
 
 
 def alarm_name(model: Model, code: int) -> str:
@@ -178,15 +204,25 @@ class HomeSearch:
     slow_rpm: int
     acceleration_ms: int
     deceleration_ms: int
+    torque_ms: int = 100  # against a stop: so long at
+    torque_percent: int = 50  # so much of its current
 
 
 def homing_block(search: HomeSearch) -> tuple[int, ...]:
     """Nine words for 0x600A..0x6012; starts nothing. ValueError where one does not fit.
 
+    Against a stop it is eleven, with time and current of 0x6013 and 0x6014.
+
     The stop position (third pair) is written too, because it lies between; without bit 1 of the
     mode the drive does not go there.
     """
     reference = words_of(search.reference_counts)
+    torque: tuple[int, ...] = ()
+    if search.method is HomingMethod.TORQUE:
+        torque = (
+            _within(search.torque_ms, _WORD - 1, "torque_ms"),
+            _within(search.torque_percent, 100, "torque_percent"),
+        )
     return (
         search.method | search.sense,
         *reference,
@@ -195,6 +231,7 @@ def homing_block(search: HomeSearch) -> tuple[int, ...]:
         _within(search.slow_rpm, _SPEED_MAX_RPM, "slow_rpm"),
         _within(search.acceleration_ms, _WORD - 1, "acceleration_ms"),
         _within(search.deceleration_ms, _WORD - 1, "deceleration_ms"),
+        *torque,
     )
 
 

@@ -18,11 +18,15 @@ from drivers.bus import Bus
 from drivers.endings import unless_done
 from drivers.errors import DriverError, Refused
 from drivers.laser import Guarantee
+from drivers.modbus_recipes import coil_is_open, without_bits, write_coil, write_register
+from drivers.recipes import Order, Recipe, Word
 from drivers.relay.registers import IDENTIFIER_WORDS, Register, text_of, watchdog_word
 
 _OFF_TRIES = 3
 _FOLLOWS_WITHIN_S = 0.1
 _POLL_S = 0.01
+_TIMED_FROM = 0x0200
+_TIMED_WORD, _TIMED_UNIT_S = 3, 0.1  # three times the longest wait of a loop, and some
 _NOT_THERE = (2, 3)  # Modbus exceptions: illegal address, illegal value
 
 Clock = Callable[[], float]
@@ -40,6 +44,10 @@ class Output(Protocol):
         """Read it back."""
         ...
 
+    def open_words(self, bus: Bus, device_id: int) -> tuple[Word, Word]:
+        """How to open it, and how to see that it is open."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class Coil:
@@ -55,6 +63,13 @@ class Coil:
         """Read it back."""
         (closed,) = bus.read_coils(device_id, self.number, 1)
         return closed
+
+    def open_words(self, bus: Bus, device_id: int) -> tuple[Word, Word]:
+        """How to open it, and how to see that it is open."""
+        return (
+            write_coil(bus, device_id, self.number, 0),
+            coil_is_open(bus, device_id, self.number),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +94,13 @@ class OutputBit:
         """Read it back."""
         (word,) = bus.read_holding(device_id, self.register, 1)
         return bool(word >> self.bit & 1)
+
+    def open_words(self, bus: Bus, device_id: int) -> tuple[Word, Word]:
+        """How to open it, and how to see that it is open: the whole word is 0 then."""
+        return (
+            write_register(bus, device_id, self.register, 0),
+            without_bits(bus, device_id, 3, self.register, 0xFF),
+        )
 
 
 class _Contact:
@@ -121,6 +143,13 @@ class _Contact:
     def is_closed(self) -> bool:
         """Read it back."""
         return self._output.is_closed(self._bus, self._device_id)
+
+    def recipes(self) -> tuple[Recipe, ...]:
+        """Open, and read back."""
+        off, is_off = self._output.open_words(self._bus, self._device_id)
+        wire_s = self._bus.wire_s(len(off.send))
+        quiet_s = self._bus.quiet_s
+        return (Recipe(self._name, Order.LASER, (off,), (is_off,), quiet_s, wire_s),)
 
     def _follows(self, *, closed: bool) -> bool:
         deadline_s = self._clock() + _FOLLOWS_WITHIN_S
@@ -203,6 +232,10 @@ class WatchedBlock:
         """Read the output back."""
         return self._contact.is_closed()
 
+    def recipes(self) -> tuple[Recipe, ...]:
+        """Off, and read back; see `drivers.recipes`."""
+        return self._contact.recipes()
+
     def _must_still_be_watched(self) -> None:
         if self._promised_ms and (found_ms := self._watchdog_ms()) != self._promised_ms:
             raise Refused(
@@ -219,6 +252,65 @@ class WatchedBlock:
             None,
             f"{self._name}: {reason}; nothing turns the laser off when this program is dead",
         )
+
+
+class TimedRelay:
+    """A Modbus relay that is only ever switched on for a time: the lease lives in the relay, too.
+
+    After Waveshare's "flash on": function 5 at 0x0200 + n, the word times 100 ms, counted anew each
+    time. That was not read in a manual, and nothing can be read back of it: no guarantee that
+    would do for an unattended run.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        device_id: int,
+        coil: int = 0,
+        *,
+        name: str = "laser relay",
+        clock: Clock = time.monotonic,
+        sleep: Sleep = time.sleep,
+    ) -> None:
+        self._bus = bus
+        self._device_id = device_id
+        self._name = name
+        self._coil = coil
+        output = Coil(coil)
+        self._contact = _Contact(bus, device_id, output, name=name, clock=clock, sleep=sleep)
+
+    def identify(self) -> Identity:
+        """Such a relay has no name; that its coil can be read is all there is."""
+        self._contact.is_closed()
+        return Identity(family="relay", model=f"timed relay, coil {self._coil}", firmware="")
+
+    def guarantee(self) -> Guarantee:
+        """Say what the relay should do; nothing is sent."""
+        timed_s = _TIMED_WORD * _TIMED_UNIT_S
+        return Guarantee(
+            None,
+            f"{self._name}: a timed relay drops {timed_s:g} s after the last word from this program"
+            ", if it is as its seller says: try it before you rely on it, stay at the station",
+        )
+
+    def on(self) -> None:
+        """Switch on for 300 ms and read back, off again where that fails; see `LaserSwitch.on`."""
+        with unless_done(self._contact.open):
+            self._bus.write_coil_word(self._device_id, _TIMED_FROM + self._coil, _TIMED_WORD)
+            if not self._contact.is_closed():
+                raise Refused(f"{self._name}: the timed on did nothing; is the relay a plain one?")
+
+    def off(self) -> None:
+        """Switch off, three tries, each confirmed within 100 ms; see `LaserSwitch.off`."""
+        self._contact.open()
+
+    def is_on(self) -> bool:
+        """Read the output back."""
+        return self._contact.is_closed()
+
+    def recipes(self) -> tuple[Recipe, ...]:
+        """Off, and read back; see `drivers.recipes`."""
+        return self._contact.recipes()
 
 
 class PlainRelay:
@@ -264,3 +356,7 @@ class PlainRelay:
     def is_on(self) -> bool:
         """Read the output back."""
         return self._contact.is_closed()
+
+    def recipes(self) -> tuple[Recipe, ...]:
+        """Off, and read back; see `drivers.recipes`."""
+        return self._contact.recipes()

@@ -16,6 +16,7 @@ from enum import IntEnum
 class Register(IntEnum):
     """Holding registers by their protocol address."""
 
+    INPUTS = 0x0000  # the first 16 inputs, bit 0 the first
     OUTPUTS = 0x0800  # the first 16 outputs, bit 0 the first
     STATION_IDENTIFIER = 0x1000  # to 0x1006
     MAPPING_REVISION = 0x1017

@@ -141,12 +141,15 @@ def profile(
 def _show(station: Path, count: int, seen: list[Profile], *, json_lines: bool) -> None:
     """Show profiles while the laser is on; without a count Ctrl-C is the way to end it."""
     from acquisition.errors import Stopped
+    from acquisition.safety.promises import promise_of_guard
 
     view = _View(json_lines=json_lines)
     try:
         with _opened(station) as at:
             if not json_lines:
                 print(at.devices.guarantee.sentence, flush=True)
+                print(promise_of_guard(at.devices.guarded), flush=True)
+                at.devices.safety.announce = print
             with at.lit() as look:
                 shown_s = 0.0
                 while not count or len(seen) < count:

@@ -44,8 +44,8 @@ def reconstruct(
         float, typer.Option(help="With --follow: seconds to wait for the scan to begin.", min=0.0)
     ] = 60.0,
     method: Annotated[
-        str, typer.Option(help="How sections and surface are made: paper or fit.")
-    ] = "paper",
+        str, typer.Option(help="How sections and surface are made: fit or paper.")
+    ] = "fit",
     axis: Annotated[str, typer.Option(help="Stacking axis: x, y or z.")] = "z",
     unit: UnitName = "mm",
     spacing_mm: Annotated[

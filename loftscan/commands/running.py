@@ -51,14 +51,23 @@ def _known_errors() -> tuple[type[BaseException], ...]:
 
 
 def _exit_code(error: BaseException) -> int:
-    from acquisition.errors import DamagedSlice, LeaseLapsed, NotAScan, Stopped, ZeroLost
+    from acquisition.errors import (
+        DamagedSlice,
+        GuardLost,
+        InputTripped,
+        LeaseLapsed,
+        NotAScan,
+        NotNow,
+        Stopped,
+        ZeroLost,
+    )
     from drivers.errors import DriverError
     from reconstruction.errors import ReconstructionError, TooFewPoints, UnreadableCloud
 
     # In this order: some are an OSError or a ValueError as well.
     codes: tuple[tuple[int, tuple[type[BaseException], ...]], ...] = (
         (3, (KeyboardInterrupt, Stopped)),
-        (4, (DriverError, LeaseLapsed, ZeroLost)),
+        (4, (DriverError, GuardLost, InputTripped, LeaseLapsed, NotNow, ZeroLost)),
         (2, (UnreadableCloud, TooFewPoints, NotAScan, DamagedSlice)),
         (1, (ReconstructionError, OSError, MemoryError)),
         (2, (ValueError,)),

@@ -15,6 +15,7 @@ from loftscan.commands.running import fail, run
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from acquisition.safety.promises import Attendance
     from acquisition.scan import PartStands, StopRequest
     from drivers.links import ByteLink
     from loftscan.scan_folders import Prospect
@@ -34,6 +35,13 @@ def scan(
         typer.Option(
             "--at-zero",
             help="With --resume: the table stands where the scan began (for a software zero).",
+        ),
+    ] = False,
+    attended: Annotated[
+        bool,
+        typer.Option(
+            "--attended",
+            help="Somebody stays at the station: for a laser that no watchdog turns off.",
         ),
     ] = False,
     wire_log: Annotated[
@@ -68,7 +76,7 @@ def scan(
             part = PartStands.AT_ZERO if at_zero else PartStands.ANYWHERE
             with _telling_how_to_resume(here, f"{station} {plan}", teller):
                 if here.missing:
-                    _take(here, stop, part, teller, logs)
+                    _take(here, stop, part, teller, logs, _attendance(attended))
                 else:
                     _only_finish(here)
             _tell_the_end(here, f"{station} {plan}", teller)
@@ -82,15 +90,19 @@ def _take(
     part: PartStands,
     teller: ScanTeller,
     logs: WireLogs | None,
+    attendance: Attendance,
 ) -> None:
     """Open the station, take what is missing, keep it; at rest and closed on every way out."""
     from acquisition.opening import open_station
+    from acquisition.safety.promises import must_be_attended
     from acquisition.scan import scan
     from acquisition.scan_record import State
     from loftscan.scanning import begin
 
     with _links(logs, teller) as links, open_station(here.station, links=links) as devices:
-        teller.laser(devices.guarantee)
+        must_be_attended(devices.guarantee, attendance)
+        teller.laser(devices.guarantee, devices.guarded)
+        devices.safety.announce = teller.note
         with begin(here, devices, stop) as writer:
             for damage in writer.set_aside:
                 teller.note(f"{damage.file}: set aside ({damage.why}); the slice is taken again")
@@ -163,6 +175,12 @@ def _telling_how_to_resume(here: Prospect, files: str, teller: ScanTeller) -> It
                 f" --out {here.out} --resume"
             )
         raise
+
+
+def _attendance(attended: bool) -> Attendance:
+    from acquisition.safety.promises import Attendance
+
+    return Attendance.PRESENT if attended else Attendance.NOBODY
 
 
 def _manner(json_lines: bool) -> Manner:

@@ -14,7 +14,7 @@ from loftscan.commands.running import run
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from loftscan.new_station import Question
+    from loftscan.new_station import Families, Question
 
 Address = Annotated[str | None, typer.Option(help="serial://, tcp:// or udp:// and the place.")]
 Length = Annotated[float | None, typer.Option()]
@@ -28,6 +28,11 @@ def init(
     plan: Annotated[Path | None, typer.Option(help="Write a plan, too.")] = None,
     table: Address = None,
     stage: Address = None,
+    table_family: Annotated[str, typer.Option(help="grbl, zaber or oriental.")] = "grbl",
+    stage_family: Annotated[str, typer.Option(help="leadshine, zaber or oriental.")] = "leadshine",
+    profiler_family: Annotated[
+        str, typer.Option(help="baumer_ox, riftek, registers or banner_ez_array.")
+    ] = "baumer_ox",
     profiler: Address = None,
     profiles: Address = None,
     laser: Annotated[str | None, typer.Option(help="The relay's address, or none.")] = None,
@@ -76,19 +81,24 @@ def init(
         "kinematics.height_mm": height_mm,
         "kinematics.standoff_mm": standoff_mm,
     }
-    run(lambda: _write(out, plan, {k: v for k, v in said.items() if v is not None}), debug=debug)
+    answers = {k: v for k, v in said.items() if v is not None}
+    families = (table_family, stage_family, profiler_family)
+    run(lambda: _write(out, plan, answers, families), debug=debug)
 
 
-def _write(out: Path, plan: Path | None, answers: dict[str, str | float | int]) -> None:
+def _write(
+    out: Path, plan: Path | None, answers: dict[str, str | float | int], named: tuple[str, str, str]
+) -> None:
     from acquisition.station import parse_station
-    from loftscan.new_station import MARK, new_plan, new_station
+    from loftscan.new_station import MARK, Families, new_plan, new_station
 
+    families = Families(*named)
     files = [file for file in (out, plan) if file is not None]
     for file in files:
         _must_be_new(file)
     if sys.stdin.isatty():
-        _ask(answers)
-    text, to_set = new_station(answers, str(out))
+        _ask(answers, families)
+    text, to_set = new_station(answers, str(out), families)
     texts = [text, new_plan(parse_station(text, str(out)))]
     for file, written in zip(files, texts, strict=False):
         with file.open("x", encoding="utf-8") as new:
@@ -109,11 +119,11 @@ def _must_be_new(file: Path) -> None:
         raise ValueError(f"{file}: there is no folder {file.parent}; make it first")
 
 
-def _ask(answers: dict[str, str | float | int]) -> None:
+def _ask(answers: dict[str, str | float | int], families: Families) -> None:
     """Ask for what is missing; an empty answer takes what stands in brackets."""
-    from loftscan.new_station import NO_SWITCH, QUESTIONS
+    from loftscan.new_station import NO_SWITCH
 
-    for question in QUESTIONS:
+    for question in families.questions:
         unlit = question.key.startswith("laser.") and answers.get("laser.address") == NO_SWITCH
         if question.key not in answers and not unlit:
             answers[question.key] = typer.prompt(

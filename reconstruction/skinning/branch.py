@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
@@ -46,12 +47,18 @@ class Branch:
     cyclic: bool  # the last outline is followed by the first
     ends: tuple[End, End] | None  # None: cyclic
     hole: bool  # it bounds a cavity: material lies outside
+    pitch_mm: float = math.inf  # usual way from slice to slice of the stack, if it is known
 
 
 @dataclass(frozen=True, slots=True)
 class Joint:
-    """Branches that meet in a plane between two slices."""
+    """Branches, by number, that meet in a plane between two slices."""
 
     height_mm: float
     below: tuple[int, ...]
     above: tuple[int, ...]
+
+    @property
+    def shoulder(self) -> bool:
+        """Whether one contour goes on in one other, but steps abruptly."""
+        return len(self.below) == len(self.above) == 1

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from reconstruction.arrays import BoolArray
@@ -34,9 +35,10 @@ from reconstruction.skinning.doubts import (
 )
 from reconstruction.skinning.loops import AROUND, Loops, loops_of
 from reconstruction.skinning.outlines import Outline
+from reconstruction.skinning.shoulders import part_at_shoulders
 from reconstruction.skinning.slabs import Event, Slab
 from reconstruction.skinning.stack import stack_up
-from reconstruction.skinning.threads import Chain, chains_of, tie_threads
+from reconstruction.skinning.threads import Chain, chains_of, part_deep_folds, tie_threads
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,6 +114,8 @@ def find_branches(
     slabs = _without(slabs, seen_once(loops, slabs, doubts))
     _require(loops, slabs)
     threads = tie_threads(loops, slabs)
+    part_at_shoulders(threads, loops)
+    part_deep_folds(threads, loops)
     chains = [
         _straightened(loops, each, crossing[:, 0], doubts) for each in chains_of(threads, loops)
     ]
@@ -182,7 +186,9 @@ def _outside_in(loops: Loops, chains: Sequence[Chain]) -> list[Chain]:
 def _branch(loops: Loops, chain: Chain) -> Branch:
     outlines = tuple(loops.outlines[each] for each in chain.loops)
     outermost = min(chain.loops, key=lambda each: int(loops.depths[each]))
-    return Branch(outlines, chain.ends is None, chain.ends, loops.outlines[outermost].hole)
+    pitch_mm = float(np.median(np.diff(loops.stack.heights_mm)))
+    hole = loops.outlines[outermost].hole
+    return Branch(outlines, chain.ends is None, chain.ends, hole, pitch_mm)
 
 
 def _joints(

@@ -29,6 +29,7 @@ from reconstruction.skinning.ring_caps import triangulate_ring
 
 _MOST_A_SPAN = 16
 _MOST_FACES = 250_000  # of a branch
+_A_SLICE = 2  # rings of an exact surface, to show which slices are missing
 _SAMPLED = 4  # of a span, to look how far chords lie off
 
 
@@ -54,7 +55,9 @@ def choose_lines(net: Net, tolerance_mm: float) -> Lines:
 
 def exact_lines(skin: ExactSkin, tolerance_mm: float) -> Lines:
     """As few lines as the tolerance allows, and what shows where nothing was measured."""
-    surface, boxes = skin.surface, skin.support.shape
+    surface, boxes = skin.surface, list(skin.support.shape)
+    if len(skin.unseen):
+        boxes[1] = max(boxes[1], _A_SLICE * len(skin.branch.outlines))
     also = (
         np.linspace(*domain, count + 1) for domain, count in zip(surface.domain, boxes, strict=True)
     )

@@ -29,6 +29,7 @@ from reconstruction.skinning.primitives import Plane, Sphere
 from reconstruction.skinning.recognition import misfit_of, recognised
 from reconstruction.skinning.revolution import Revolution
 from reconstruction.skinning.skin import Skin, noise_of
+from reconstruction.skinning.unseen import lies_in, unseen_bands
 
 _ROUNDS = 2  # of shape and noise, one after the other
 _REACH = 6.0  # standard deviations: a loose cell nearer than that may be the shape's
@@ -55,7 +56,14 @@ class ExactSkin:
         places = evaluate_surface_at(self.surface, np.ravel(u), np.ravel(v))
         counts = self.support
         column, row = self._boxes(places, counts.shape)
-        return np.asarray(counts[column, row] == 0).reshape(np.shape(u))
+        heights = places @ self.branch.outlines[0].frame.axes[2]
+        missing = lies_in(heights, self.unseen)
+        return np.asarray((counts[column, row] == 0) | missing).reshape(np.shape(u))
+
+    @property
+    def unseen(self) -> FloatArray:
+        """Bands of height (g, 2) where slices are missing."""
+        return unseen_bands(self.branch, self.shape.moments)
 
     @property
     def support(self) -> IntArray:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -70,13 +71,13 @@ def _folded(outer: Branch, hole: Branch) -> Branch | None:
     )
     back = hole.outlines[::-1]
     if low and high:
-        return Branch((*outer.outlines, *back), cyclic=True, ends=None, hole=False)
+        return replace(outer, outlines=(*outer.outlines, *back), cyclic=True, ends=None)
     if high:
         ends = (outer.ends[0], hole.ends[0])
-        return Branch((*outer.outlines, *back), cyclic=False, ends=ends, hole=False)
+        return replace(outer, outlines=(*outer.outlines, *back), ends=ends)
     if low:
         ends = (outer.ends[1], hole.ends[1])
-        return Branch((*outer.outlines[::-1], *hole.outlines), cyclic=False, ends=ends, hole=False)
+        return replace(outer, outlines=(*outer.outlines[::-1], *hole.outlines), ends=ends)
     return None
 
 

@@ -29,6 +29,7 @@ _STIFFNESSES = np.arange(-4.0, 5.0)  # powers of ten, of third differences besid
 _FINE = 4  # places a span when lengths are told anew
 _AROUND = 64  # lines along which they are
 _FAINT = 1e-6
+_NEXT_TO_NOTHING = 1e-8
 _FIRM = 1e3  # weight of an end's own row
 
 
@@ -51,6 +52,8 @@ def lay_net(
     stations: Stations,
     brims: tuple[Brim | Apex, Brim | Apex] | None,
     spans: tuple[int, int],
+    *,
+    through: bool = False,
 ) -> Laid:
     """Lay a net of (u, v) spans through stations.
 
@@ -58,6 +61,8 @@ def lay_net(
     ----------
     brims
         How the surface ends before the first and after the last outline; None: it closes in v.
+    through
+        Along v, natural splines through all rows, not smooth curves near them.
     """
     columns = stations.shares.shape[1]
     if brims is None:
@@ -65,7 +70,7 @@ def lay_net(
     else:
         rows, places = _open_rows(stations, brims, spans[1])
     creases = np.array(stations.creases, dtype=np.int64) * spans[0] // columns
-    net = _net(places, rows, spans, brims, creases)
+    net = _net(places, rows, spans, brims, creases, through=through)
     own = rows if brims is None else rows[1:-1]
     u = np.concatenate(stations.columns_of_cells()) * (spans[0] / columns)
     v = np.concatenate(_rows_of_cells(outlines, own, spans[1], closed=brims is None))
@@ -131,6 +136,8 @@ def _net(
     spans: tuple[int, int],
     brims: tuple[Brim | Apex, Brim | Apex] | None,
     creases: IntArray,
+    *,
+    through: bool,
 ) -> Net:
     """Control points by penalised least squares, first around, then along."""
     knots_u = knots_of(spans[0], closed=True, creases=creases)
@@ -140,7 +147,10 @@ def _net(
     weights = np.ones(len(rows))
     if brims is not None:
         weights[[0, -1]] = _FIRM
-    along = _smoother(rows, knots_v, weights, places, closed=brims is None)
+    if through:
+        along = _interpolator(rows, knots_v, closed=brims is None)
+    else:
+        along = _smoother(rows, knots_v, weights, places, closed=brims is None)
     control = np.tensordot(around, np.tensordot(along, places, (1, 0)), (1, 1))
     apex = np.zeros(control.shape[1], np.bool_)
     for last, brim in enumerate(brims or ()):
@@ -175,6 +185,19 @@ def _smoother(
         if score < least:
             best, least = solver, score
     return np.asarray(best)
+
+
+def _interpolator(t: FloatArray, knots: FloatArray, *, closed: bool) -> FloatArray:
+    """The matrix (n, m) that makes n control points of a natural spline through m places."""
+    design, _ = _design(t, knots, closed=closed)
+    count = design.shape[1]
+    at = np.arange(float(knots[-4]) + (not closed))
+    seconds = basis_at(at, knots, 2, closed=closed)
+    bends = np.zeros((len(at), count))
+    for k in range(4):
+        np.add.at(bends, (np.arange(len(at)), (seconds.first + k) % count), seconds.values[:, 2, k])
+    normal = design.T @ design + _NEXT_TO_NOTHING * bends.T @ bends
+    return np.asarray(np.linalg.solve(normal, design.T))
 
 
 def _design(t: FloatArray, knots: FloatArray, *, closed: bool) -> tuple[FloatArray, FloatArray]:

@@ -9,12 +9,13 @@ import numpy as np
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
 from reconstruction.errors import Unfittable
-from reconstruction.nurbs import Surface, points_and_tangents_at
+from reconstruction.nurbs import Surface, evaluate_surface_at, points_and_tangents_at
 from reconstruction.skinning.aligning import Stations, align, align_between
 from reconstruction.skinning.branch import Branch
 from reconstruction.skinning.creases import find_creases
 from reconstruction.skinning.ends import Apex, Brim, brim_or_apex
 from reconstruction.skinning.feet import nearby
+from reconstruction.skinning.interpolating import follows, interpolating, keeps_near
 from reconstruction.skinning.laying import Laid, lay_net
 from reconstruction.skinning.merging import Cells
 from reconstruction.skinning.net import basis_at, unit_normals
@@ -22,14 +23,18 @@ from reconstruction.skinning.noise import Noise
 from reconstruction.skinning.outlines import Moments
 from reconstruction.skinning.rounds import Rim
 from reconstruction.skinning.tensor_fit import FREE, TensorFit, fit_net
+from reconstruction.skinning.unseen import lies_in, unseen_bands
 from reconstruction.skinning.variances import variances_across
 
 _SPANS_A_FREEDOM = 2.5
 _MORE_SPANS = 10
 _LEAST_SPANS_U, _WIDE_SPANS_U = 12, 240  # half of what their own sections use at least
 _MOST_SPANS = 240
+_ROUND_SPANS = 48  # an exact ellipse is told by five numbers, but takes so many spans to follow
 _LEAST_SPANS_V, _WIDE_SPANS_V = 6, 32
 _MOST_SPANS_V = 160
+_FEW, _MANY = 20, 80  # outlines; of more, the way between two of them is short
+_SPANS_A_ROW = 2  # of a spline through few outlines
 _STATIONS_A_SPAN = 3
 _LEAST_STATIONS = 96
 _REACH = 6.0  # standard deviations from the first net: loose cells farther off are not its
@@ -106,7 +111,10 @@ class Skin:
         end_u, end_v = self.fit.net.spans
         column = np.minimum((u / end_u * counts.shape[0]).astype(np.int64), counts.shape[0] - 1)
         row = np.minimum((v / end_v * counts.shape[1]).astype(np.int64), counts.shape[1] - 1)
-        return np.asarray(counts[column, row] == 0)
+        places = evaluate_surface_at(self.surface, np.ravel(u), np.ravel(v))
+        heights = (places @ self.branch.outlines[0].frame.axes[2]).reshape(np.shape(u))
+        missing = lies_in(heights, unseen_bands(self.branch, self.moments))
+        return np.asarray((counts[column, row] == 0) | missing)
 
     @property
     def support(self) -> IntArray:
@@ -143,7 +151,27 @@ def skin_branch(branch: Branch, loose: Moments | None = None) -> Skin:
 
 
 def _skin(branch: Branch, stations: Stations, loose: Moments, creases: FloatArray) -> Skin:
-    """The same with known creases (k, c): few spans to begin with, where they may do."""
+    """The same with known creases (k, c); a spline through few outlines, if no fit follows them."""
+    count, noise = len(branch.outlines), noise_of(branch)
+    try:
+        skin = _fitted_skin(branch, stations, loose, creases)
+    except Unfittable:
+        spline = _through(branch, stations, loose, creases)
+        if spline is None:
+            raise
+        return spline
+    if count > _MANY or (count > _FEW and follows(skin.fit, noise)):
+        return skin
+    spline = _through(branch, stations, loose, creases)
+    if spline is None or (
+        follows(skin.fit, noise) and keeps_near(skin.fit, spline.fit.net, stations.places_mm, noise)
+    ):
+        return skin
+    return spline
+
+
+def _fitted_skin(branch: Branch, stations: Stations, loose: Moments, creases: FloatArray) -> Skin:
+    """A fit: few spans to begin with, where they may do."""
     spans = (_spans_around(branch), _spans_along(branch))
     halvings = (
         _halvings(spans[0], _LEAST_SPANS_U, _WIDE_SPANS_U),
@@ -176,18 +204,37 @@ def _fitted(
     halvings: tuple[int, int],
 ) -> Skin:
     """A net of so many spans laid through the stations, and fitted; it may halve them."""
-    outlines, brims = branch.outlines, brims_of(branch)
+    brims, noise = brims_of(branch), noise_of(branch)
+    laid = lay_net(branch.outlines, stations, brims, (stations.spans or spans[0], spans[1]))
+    cells = _cells(branch, laid, loose, noise)
+    fit = fit_net(laid.net, cells, noise, rims=_rims(brims), halvings=halvings)
+    return Skin(branch, brims, laid, stations, fit)
+
+
+def _through(
+    branch: Branch, stations: Stations, loose: Moments, creases: FloatArray
+) -> Skin | None:
+    """The surface through the outlines as they are; None if they are many, or of few points."""
+    if len(branch.outlines) > _MANY:
+        return None
+    spans = (_spans_around(branch), max(_SPANS_A_ROW * len(branch.outlines), _LEAST_SPANS_V))
+    stations = _between(branch, stations, creases, spans[0])
+    brims, noise = brims_of(branch), noise_of(branch)
     spans = (stations.spans or spans[0], spans[1])
-    laid = lay_net(outlines, stations, brims, spans)
-    noise = noise_of(branch)
-    cells = Cells(tuple(outline.moments for outline in outlines), laid.u, laid.v)
+    laid = lay_net(branch.outlines, stations, brims, spans, through=True)
+    fit = interpolating(laid, _cells(branch, laid, loose, noise), noise, _rims(brims))
+    return None if fit is None else Skin(branch, brims, laid, stations, fit)
+
+
+def _cells(branch: Branch, laid: Laid, loose: Moments, noise: Noise) -> Cells:
+    """Of the outlines, and loose ones that are near the net."""
+    cells = Cells(tuple(outline.moments for outline in branch.outlines), laid.u, laid.v)
     if len(loose):
         near, u, v = nearby(laid.net, loose, _REACH * math.sqrt(noise.level_mm2))
         cells = Cells(
             (*cells.parts, near), np.concatenate([cells.u, u]), np.concatenate([cells.v, v])
         )
-    fit = fit_net(laid.net, cells, noise, rims=_rims(brims), halvings=halvings)
-    return Skin(branch, brims, laid, stations, fit)
+    return cells
 
 
 def _dear(skin: Skin) -> float:
@@ -235,7 +282,7 @@ def _standing_out(stations: Stations, *, cyclic: bool) -> int | None:
 def _spans_around(branch: Branch) -> int:
     """Spans enough for the liveliest of the outlines; the stiffness does the rest."""
     edf = float(np.quantile([outline.fitted.edf for outline in branch.outlines], 0.9))
-    return int(min(max(_SPANS_A_FREEDOM * edf + _MORE_SPANS, _LEAST_SPANS_U), _MOST_SPANS))
+    return int(min(max(_SPANS_A_FREEDOM * edf + _MORE_SPANS, _ROUND_SPANS), _MOST_SPANS))
 
 
 def _spans_along(branch: Branch) -> int:

@@ -47,6 +47,7 @@ def part_of(
     stack
         Slices from low to high.
     """
+    joints = [joint for joint in joints if not joint.shoulder]  # walls end there as they are
     jumps = sorted(index for skin in skins for index in _jumps(skin))
     doubtful = bool(jumps or joints)
     if not doubtful and _share_left(skins, stack) <= _FAR_SHARE:

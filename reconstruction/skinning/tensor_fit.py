@@ -123,7 +123,7 @@ def fit_net(
     """
     lattice = Lattice.over(net, halvings)
     merged = merged_for(net, cells)
-    logs = _log_stiffness(net, cells, noise)
+    logs = log_stiffness(net, cells, noise)
     starts = (np.full(lattice.count, logs[0]), np.full(lattice.count, logs[1]))
     state = State(net, net.control_mm, merged.u, merged.v, noise, starts)
     done = _at_rest(state, merged.moments, lattice, rims, _may(halvings), begun=0)
@@ -156,7 +156,7 @@ def _may(halvings: tuple[int, int]) -> tuple[bool, bool]:
     return halvings[0] > 0, halvings[1] > 0
 
 
-def _log_stiffness(net: Net, cells: Cells, noise: Noise) -> list[float]:
+def log_stiffness(net: Net, cells: Cells, noise: Noise) -> list[float]:
     """Along u and v, what likelihood would say of the net's own bends if half of them were free.
 
     Not far from what the points can just resist, though: the net may be exactly round, or not yet

@@ -79,7 +79,6 @@ def tie_threads(loops: Loops, slabs: Sequence[Slab]) -> Threads:
         for side in ((number, DOWN), (number, UP)):
             if side not in threads.follows and side not in threads.ends:
                 threads.ends[side] = End(Ending.UNSEEN, float(loops.heights_mm[number]))
-    _part_deep_folds(threads, loops)
     return threads
 
 
@@ -103,7 +102,7 @@ def _is_plain(event: Event, loops: Loops) -> bool:
     return (one == other) if len(event.below) == 1 else (one != other)
 
 
-def _part_deep_folds(threads: Threads, loops: Loops) -> None:
+def part_deep_folds(threads: Threads, loops: Loops) -> None:
     """End the inner arm of a fold where the outer one ends.
 
     ::

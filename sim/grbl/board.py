@@ -50,13 +50,22 @@ _Program = Generator[Callable[[], bool], None, None]
 
 
 class GrblBoard:
-    """A Device; it is powered when it is first called."""
+    """A Device; it is powered when it is first called.
 
-    def __init__(self, axis: WorldAxis, settings: GrblSettings | None = None) -> None:
+    `spindle` is told, with the time, whether the spindle's output is on.
+    """
+
+    def __init__(
+        self,
+        axis: WorldAxis,
+        settings: GrblSettings | None = None,
+        spindle: Callable[[float, bool], None] | None = None,
+    ) -> None:
         self._settings = settings or GrblSettings()
         self._eeprom = Eeprom(self._settings)
         self._stepper = Stepper(axis, self._settings.steps_per_deg)
         self._cycle = Cycle(self._stepper, self._eeprom, late_cancel_s=self._settings.late_cancel_s)
+        self._spindle = spindle
         self._now_s = -math.inf
         self._wake_s = math.inf
         self._said = bytearray()
@@ -73,6 +82,7 @@ class GrblBoard:
             self._take(byte)
             self._run()
             self._advance(now_s)  # what takes no time is done before the next character
+            self._drive_spindle()
         return self._spoken()
 
     def tick(self, now_s: float) -> bytes:
@@ -114,6 +124,7 @@ class GrblBoard:
                 self._parser.position_deg = self._position_deg()
             self._run()
         self._now_s = max(now_s, self._now_s)
+        self._drive_spindle()
 
     def _due_s(self) -> float:
         ends_s = self._stepper.ends_s() if self._stepper.moving else math.inf
@@ -199,7 +210,7 @@ class GrblBoard:
         if counted is not None:
             self._stepper.redefine(counted, self._now_s)
         self._start_afresh(self._position_deg())
-        self._say(reports.BANNER)
+        self._say(reports.HAL_BANNER if self._settings.hal else reports.BANNER)
         if self._eeprom[_HARD_LIMITS] and self._limit_pin():
             self._cycle.state = State.ALARM
             self._say(reports.CHECK_LIMITS)
@@ -244,7 +255,7 @@ class GrblBoard:
             self._ask(command)
         elif state not in (State.IDLE, State.ALARM):
             raise Refusal(Error.NOT_IDLE)
-        elif command == "H":
+        elif command == "H" or self._homes_alone(command):
             yield from self._home()
         elif command in ("#", "I", "N"):
             self._tell(command)
@@ -278,7 +289,7 @@ class GrblBoard:
             parser, form = self._parser, self._format()
             self._say(*reports.parameters(self._eeprom.offsets_deg, parser.g92_deg, form))
         elif command == "I":
-            self._say(*reports.build_info(self._settings.axes, BLOCKS))
+            self._say(*reports.build_info(self._settings.axes, BLOCKS, hal=self._settings.hal))
         else:
             self._say("$N0=", "$N1=")
 
@@ -342,6 +353,11 @@ class GrblBoard:
             self._report_status()
         self._cycle.state, self._deaf = State.IDLE, False
 
+    def _homes_alone(self, command: str) -> bool:
+        """Whether it is grblHAL's homing of the one axis that has a motor, and that is allowed."""
+        alone = self._settings.hal and int(self._eeprom[_HOMING]) & 2
+        return bool(alone) and command == f"H{self._settings.letter}"
+
     def _pass(self, each: Pass) -> _Program:
         way = steps_of(each.way_deg, self._eeprom.steps_per_deg)
         missed = False
@@ -387,6 +403,13 @@ class GrblBoard:
 
     def _position_deg(self) -> float:
         return degrees_of(self._stepper.count(self._now_s), self._eeprom.steps_per_deg)
+
+    def _drive_spindle(self) -> None:
+        """Drive what hangs on the output; a reset or an alarm stops it before anything else."""
+        if self._spindle is not None:
+            turns = self._parser.modes.spindle in _DRIVES_SPINDLE and self._parser.speed_rpm > 0.0
+            alive = not self._dying and self._cycle.state is not State.ALARM
+            self._spindle(self._now_s, turns and alive)
 
     def _limit_pin(self) -> bool:
         return self._limit_pressed or pressed(self._stepper.motor_deg(self._now_s), self._settings)

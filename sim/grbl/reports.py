@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from sim.grbl.numbers import MM_PER_INCH, printed
 
 BANNER = "\r\nGrbl 1.1h ['$' for help]"
+HAL_BANNER = "\r\nGrblHAL 1.1f ['$' or '$HELP' for help]"
 HELP = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]"
 UNLOCK_FIRST = "[MSG:'$H'|'$X' to unlock]"
 UNLOCKED = "[MSG:Caution: Unlocked]"
@@ -44,9 +45,15 @@ class Format:
         return printed(value_deg_min, 0)
 
 
-def build_info(axes: str, blocks: int) -> list[str]:
+def build_info(axes: str, blocks: int, *, hal: bool = False) -> list[str]:
     """The lines of `$I`; a board of more than three axes says which, as grblHAL does."""
     more = [f"[AXS:{len(axes)}:{axes}]"] if len(axes) > 3 else []
+    if hal:
+        return [
+            "[VER:1.1f.20260817:]", f"[OPT:VNML+,100,1024,{len(axes)},0]", *more,
+            "[NEWOPT:ENUMS,RT+,HOME,TC,SED]", "[FIRMWARE:grblHAL]", "[NVS STORAGE:*EEPROM]",
+            "[DRIVER:Simulator]", "[DRIVER VERSION:260324]",
+        ]  # fmt: skip
     return ["[VER:1.1h.20190830:]", f"[OPT:V,{blocks},{RX_BUFFER}]", *more]
 
 

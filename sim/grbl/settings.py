@@ -43,6 +43,7 @@ class GrblSettings:
     pull_off_deg: float = 2.0
     switch_deg: float = 30.0  # where the cam meets the home switch when the table turns upward
     cam_deg: float = 5.0  # how long it presses it, once a turn
+    hal: bool = False  # speaks grblHAL's dialect
     late_cancel_s: float = 2e-5  # after the end of a jog: 0x85 then suspends an idle board
 
     def __post_init__(self) -> None:
@@ -72,6 +73,7 @@ class Eeprom:
     def __init__(self, settings: GrblSettings) -> None:
         self._values = _as_delivered(settings)
         self._index = settings.index
+        self._hal = settings.hal
         self._divisors = [first + settings.index for first in _AXIS_SETTINGS[:3]]
         self.offsets_deg = dict.fromkeys(SYSTEMS, 0.0)
 
@@ -110,9 +112,14 @@ class Eeprom:
     def listing(self) -> list[str]:
         """The lines of `$$`."""
         return [
-            f"${number}={printed(value, 0 if number in _ROUNDED else 3)}"
+            f"${number}={printed(value, self._decimals(number))}"
             for number, value in sorted(self._values.items())
         ]
+
+    def _decimals(self, number: int) -> int:
+        if number in _ROUNDED:
+            return 0
+        return 5 if self._hal and number in range(100, 106) else 3
 
     def store(self, assignment: str) -> None:
         """Do `n=value`.
@@ -139,7 +146,7 @@ class Eeprom:
             raise Refusal(Error.STEP_PULSE_TOO_SHORT)
         if value == 0.0 and number in self._divisors:  # the firmware takes it, and is lost
             raise Refusal(Error.INVALID_STATEMENT)
-        if number in _FLAGS:
+        if number in _FLAGS and not (self._hal and number == _HOMING):  # there it is a mask
             value = float(int(value) != 0)
         if number == _SOFT_LIMITS and value and not self._values[_HOMING]:
             raise Refusal(Error.SOFT_LIMITS_NEED_HOMING)

@@ -16,14 +16,10 @@ from dataclasses import dataclass, field, replace
 import pytest
 from pymodbus.framer.rtu import FramerRTU
 
-from acquisition.opening import (
-    OpenStation,
-    at_rest_unless_done,
-    grbl_settings,
-    leadshine_settings,
-    open_station,
-)
+from acquisition.axes import grbl_settings, leadshine_settings
+from acquisition.opening import OpenStation, at_rest_unless_done, open_station
 from acquisition.plan import check_plan, ring
+from acquisition.safety.guarding import unguarded
 from acquisition.station import (
     HomeMark,
     HomeWay,
@@ -144,7 +140,9 @@ class Wire:
 
 
 def opened(site: Site, station: Station = STATION) -> AbstractContextManager[OpenStation]:
-    return open_station(station, clock=site.clock, sleep=site.sleep, links=site.open)
+    return open_station(
+        station, clock=site.clock, sleep=site.sleep, links=site.open, guarding=unguarded
+    )
 
 
 def test_the_first_bytes_to_the_laser_are_off_and_nothing_else_is_asked() -> None:
@@ -162,7 +160,7 @@ def test_the_first_bytes_to_the_laser_are_off_and_nothing_else_is_asked() -> Non
 def test_on_the_way_out_the_laser_is_off_first_then_the_axes_stop_then_links_close() -> None:
     site = Site()
     with opened(site) as station:
-        station.laser.on()
+        station.laser.switch.on()
         assert site.devices[LASER, 1].coils[0]
         before = len(site.journal)
     ways_out = site.journal[before:]
@@ -181,7 +179,7 @@ def test_whatever_is_raised_inside_ends_with_laser_off_and_axes_stopped(
 ) -> None:
     site = Site()
     with pytest.raises(reason, match="inside"), opened(site) as station:  # noqa: PT012
-        station.laser.on()
+        station.laser.switch.on()
         raise reason("inside")
     assert not site.devices[LASER, 1].coils[0]
     assert STOP in site.sent(STAGE)
@@ -209,7 +207,7 @@ def test_a_laser_that_is_not_there_opens_nothing_else() -> None:
 def test_a_way_out_that_fails_does_not_keep_the_others_back_and_the_first_error_wins() -> None:
     site = Site(stuck={PROFILES, STAGE})
     with pytest.raises(LinkLost, match="stage's cable") as lost, opened(site) as station:  # noqa: PT012
-        station.laser.on()
+        station.laser.switch.on()
         site.cut[STAGE] = "the stage's cable is out"
     assert not site.devices[LASER, 1].coils[0]
     assert GRBL_STOP in site.sent(TABLE)
@@ -231,7 +229,7 @@ def test_devices_at_one_address_share_one_bus_however_it_is_spelled() -> None:
     laser = RelayLaser(family=RelayFamily.PLAIN, address=same, device_id=9, output=3)
     site = Site()
     with opened(site, replace(STATION, laser=laser)) as station:
-        station.laser.on()
+        station.laser.switch.on()
         assert not math.isnan(station.stage.state().position)
         assert station.guarantee.watchdog_s is None
     assert len(site.doors(OPEN)) == 4
@@ -244,7 +242,7 @@ def test_an_output_bit_of_the_block_is_written_as_a_register() -> None:
     laser = replace(STATION.laser, output_by=OutputBy.REGISTER_BIT, output=4)  # type: ignore[type-var]
     site = Site()
     with opened(site, replace(STATION, laser=laser)) as station:
-        station.laser.on()
+        station.laser.switch.on()
         assert site.devices[LASER, 1].registers[0x0800] == 1 << 4
     assert site.sent(LASER)[0] == b"\x06\x08\x00\x00\x00"
     assert site.devices[LASER, 1].registers[0x0800] == 0
@@ -302,7 +300,7 @@ def test_a_block_that_is_left_badly_finds_the_laser_off_and_the_axes_stopped() -
             pass
         assert STOP not in site.sent(STAGE)
         with pytest.raises(DriverError, match="inside"), at_rest_unless_done(station):  # noqa: PT012
-            station.laser.on()
+            station.laser.switch.on()
             raise Refused("inside")
         assert not site.devices[LASER, 1].coils[0]
         assert STOP in site.sent(STAGE)

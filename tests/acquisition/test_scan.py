@@ -12,15 +12,19 @@ import numpy as np
 import pytest
 
 from acquisition.errors import LeaseLapsed, Stopped, ZeroLost
+from acquisition.lease import TTL_S, Lease
 from acquisition.opening import OpenStation
 from acquisition.plan import Plan, StepAndShoot, ring
 from acquisition.poses import Sweep
+from acquisition.profilers import lost_profile
+from acquisition.safety.guarding import NoGuard
+from acquisition.safety.states import Event, Rules
+from acquisition.safety.supervising import PermittedLaser, Supervisor
 from acquisition.scan import (
     PartStands,
     Progress,
     StopRequest,
     Wish,
-    lost_profile,
     scan,
 )
 from acquisition.station import Station, TableZero
@@ -239,7 +243,14 @@ def rig(settings: Station = STATION, **bench: object) -> Rig:
     stage = FakeAxis(made, "stage", Kind.LINEAR)
     profiler, laser = FakeProfiler(made), FakeLaser(made)
     promise = laser.guarantee()
-    station = OpenStation(settings, table, stage, profiler, laser, promise, made.clock, made.sleep)
+    safety = Supervisor(made.clock, Rules(warning_s=0.0))
+    safety.tell(Event.SELF_TESTED)
+    safety.tell(Event.CONNECT)
+    safety.tell(Event.OFF_CONFIRMED)
+    station = OpenStation(
+        settings, table, stage, profiler, PermittedLaser(laser, safety), promise, made.clock,
+        made.sleep, Lease(TTL_S, made.clock), NoGuard(), {}, safety,
+    )  # fmt: skip
     return Rig(made, table, stage, profiler, laser, station)
 
 

@@ -158,7 +158,7 @@ def edited(pattern: str, instead: str) -> str:
         (
             '^switch = "relay"',
             'switch = "hokuyo"',
-            'laser.switch: \'hokuyo\' is not known; write "relay" or "none"',
+            'laser.switch: \'hokuyo\' is not known; write "relay" or "grbl" or "none"',
         ),
         ('^switch = "relay"', 'switch = "none"', "laser.family: unknown key; remove it"),
         (

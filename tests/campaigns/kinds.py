@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -12,8 +13,9 @@ from signal import Signals
 from tests.campaigns.victims import Instant, Victim
 
 STOP_S = 0.25
-WATCHDOG_S = 0.25 + 0.05  # as it is programmed, and what it may be late
-STOPPED_S = 0.6  # how long a program stands still: more than twice the watchdog
+KILLED_S = 0.07  # until the guard's word: the owner's end, and no silence on a network
+HUNG_S = 0.19  # the lease before that
+STOPPED_S = 0.6  # how long a program stands still: more than twice any lease
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +65,13 @@ def _unread(victim: Victim, _: Instant) -> Struck:
     return Struck(time.monotonic())
 
 
+def _unplugged(victim: Victim, _: Instant) -> Struck:
+    """Pull a cable of the station, any one; it is back half a second later."""
+    now_s = time.monotonic()
+    os.kill(victim.station_pid, signal.SIGUSR1)
+    return Struck(now_s)
+
+
 @dataclass(frozen=True, slots=True)
 class Kind:
     """A way to stop a scan, and what is promised of it."""
@@ -102,8 +111,8 @@ KINDS = (
     Kind("SIGHUP", signalled(signal.SIGHUP), (3,)),
     Kind("exception", _by_itself, (1,), by_script=True, raises=True),
     Kind("script SIGINT", signalled(signal.SIGINT), (-signal.SIGINT,), by_script=True),
+    Kind("unplugged", _unplugged, (4,), laser_s=None, axes_s=None),
     Kind("stdout closed", _unread, (1,), laser_s=0.0, counts_from_end=True, piped=True),
-    Kind("SIGKILL", signalled(signal.SIGKILL), (-signal.SIGKILL,), laser_s=WATCHDOG_S,
-         axes_s=None, dies=True),
-    Kind("SIGSTOP", held(STOPPED_S), (4,), laser_s=WATCHDOG_S, axes_s=None, dies=True),
+    Kind("SIGKILL", signalled(signal.SIGKILL), (-signal.SIGKILL,), laser_s=KILLED_S, dies=True),
+    Kind("SIGSTOP", held(STOPPED_S), (4, -signal.SIGKILL), laser_s=HUNG_S, axes_s=None, dies=True),
 )  # fmt: skip

@@ -1,11 +1,15 @@
 """Every way to stop a scan, at random instants, judged by the witness log.
 
     python -m tests.campaigns.stopping [--runs 20] [--seed 1] [--scale 8] [--kinds NAME,NAME]
+                                       [--owners 300] [--devices NAME,NAME] [--jobs 3]
 
 A simulated station runs as a process, and so does each scan. Each kind strikes scans of its own:
 what one stop leaves is resumed, and that is struck, too, until the scan is whole. The table has the
 worst of each kind: how long after the stop the laser was on and an axis moved, and what became of
-the slices. It exits 1 when a bound is broken. docs/safety.md says what the bounds are.
+the slices. Then programs that only hold a station are struck, at rest, in motion and with the laser
+on, in every way that a program ends (`tests.campaigns.deaths`): so many of each at the first of the
+devices that switch a laser, a tenth of that at the others. It exits 1 when a bound is broken.
+docs/safety.md says what the bounds are.
 """
 
 from __future__ import annotations
@@ -21,6 +25,7 @@ from pathlib import Path
 from acquisition.plan import Plan, Ring, StepAndShoot
 from loftscan import simulate
 from loftscan.simulation import Simulated
+from tests.campaigns.death_table import DEVICES, all_deaths
 from tests.campaigns.kinds import KINDS, Kind
 from tests.campaigns.struck_scan import Outcome, StruckScan
 from tests.campaigns.victims import instants
@@ -91,7 +96,9 @@ def main(words: Sequence[str] | None = None) -> int:
     parser = _parser()
     wanted = parser.parse_args(words)
     kinds = [kind for kind in KINDS if not wanted.kinds or kind.name in wanted.kinds.split(",")]
-    if wanted.kinds and len(kinds) != len(wanted.kinds.split(",")):
+    if wanted.runs <= 0:
+        kinds = []
+    elif wanted.kinds and len(kinds) != len(wanted.kinds.split(",")):
         parser.error(f"--kinds: known are {', '.join(kind.name for kind in KINDS)}")
     with suppress(PermissionError):
         os.nice(-5)  # so that what is measured is the program, not its neighbours
@@ -99,10 +106,19 @@ def main(words: Sequence[str] | None = None) -> int:
         f"{wanted.runs} instants each, seed {wanted.seed}, {wanted.scale:g} times real time,"
         f" load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores\n"
     )
-    _tell(_HEAD)
+    if kinds:
+        _tell(_HEAD)
     found: list[str] = []
     for kind in kinds:
         found += _one_kind(kind, wanted)
+    if wanted.owners:
+        found += all_deaths(
+            wanted.devices.split(","),
+            wanted.owners,
+            ways=wanted.ways.split(",") if wanted.ways else (),
+            seed=wanted.seed,
+            jobs=wanted.jobs,
+        )
     sys.stdout.write("".join(f"broken: {each}\n" for each in found))
     sys.stdout.write(f"load {os.getloadavg()[0]:.1f}; {len(found)} bounds broken\n")
     return 1 if found else 0
@@ -127,6 +143,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--scale", type=float, default=8.0, help="of the station's time")
     parser.add_argument("--faults", default="", help="of the station, as `python -m sim` has them")
+    parser.add_argument("--owners", type=int, default=300, help="deaths of each kind; 0: none")
+    parser.add_argument("--devices", default=DEVICES, help="that switch the laser, a comma list")
+    parser.add_argument("--ways", default="", help="only these deaths, by name, a comma list")
+    parser.add_argument("--jobs", type=int, default=3, help="stations at a time")
     parser.add_argument("--kinds", default="", help="only these, by name, a comma list")
     return parser
 

@@ -22,11 +22,12 @@ from acquisition.plan import Plan, write_plan
 from acquisition.scan_record import State
 from acquisition.scanfile import ScanFolder
 from loftscan.simulation import Simulated
-from tests.campaigns.kinds import Kind, Struck
+from tests.campaigns.kinds import WATCHDOG_S, Kind, Struck
 from tests.campaigns.testimony import (
     Event,
     Witnessed,
     begun_by_nobody,
+    cut_from_the_laser,
     lasted_at,
     lit,
     lit_in_motion,
@@ -154,7 +155,10 @@ class StruckScan:
         with said.open("wb") as file:
             process = started(words, subprocess.PIPE if kind.piped else file, complained)
         kept = frozenset(self._kept)
-        return Victim(process, self._out, said, complained, kept, stops, len(missing), witnessed)
+        return Victim(
+            process, self._out, said, complained, kept, stops, len(missing), witnessed,
+            self._station.pid,
+        )  # fmt: skip
 
     def _judged(
         self,
@@ -189,6 +193,9 @@ class StruckScan:
             yield "the laser stayed on"
         if lit_in_motion(events):
             yield "an axis moved under the laser"
+        for pulled_s in cut_from_the_laser(acted):
+            if (on_s := over_after_s(lit(acted), pulled_s)) > WATCHDOG_S:
+                yield f"laser on {1000.0 * on_s:.0f} ms after its cable was pulled"
         if kind.dies and begun_by_nobody(acted, struck.time_s, heard_s=self._heard_s):
             yield "an axis began to move after its program was stopped"
 
@@ -198,6 +205,8 @@ class StruckScan:
         """Exit code and words; at the border, that the slice under way was finished."""
         if math.isinf(ended_s):
             yield "it did not end"
+        if begun_by_nobody(events, ended_s, heard_s=self._heard_s):
+            yield "an axis began to move after the program's end"
         code, missing = victim.process.returncode, self.missing
         last = victim.last_words()
         if code not in (kind.codes if missing else (*kind.codes, 0)):

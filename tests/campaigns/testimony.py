@@ -92,6 +92,15 @@ def lasted_at(spans: Iterable[Span], time_s: float) -> bool:
     return any(span.begun_s <= time_s < span.ended_s for span in spans)
 
 
+def cut_from_the_laser(events: Iterable[Event]) -> list[float]:
+    """When the cable of the laser's switch was pulled."""
+    return [
+        event["time_s"]
+        for event in events
+        if event["what"] == "wire" and event["fault"] == "unplug" and event["wire"] == "relay"
+    ]
+
+
 def lit_in_motion(events: Sequence[Event]) -> list[Span]:
     """Motions under a laser that was on: step and shoot has none."""
     lights = lit(events)

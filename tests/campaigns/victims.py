@@ -73,6 +73,7 @@ class Victim:
     stops: int  # that it has still to make
     slices: int  # that it has still to take
     witnessed: Witnessed
+    station_pid: int
 
     def await_instant(self, instant: Instant) -> bool:
         """Wait for it; whether the program was still alive then."""

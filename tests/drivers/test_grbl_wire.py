@@ -312,12 +312,14 @@ def test_errors_and_alarms_have_names_and_keep_foreign_numbers() -> None:
     assert error_name(9) == "error:9 (locked by an alarm or a jog)"
     assert error_name(22) == "error:22 (undefined feed rate)"
     assert alarm_name(9) == "ALARM:9 (homing did not find the switch)"
-    assert "53" in error_name(53)
-    assert "unknown" in error_name(53)
-    assert "unknown" in alarm_name(17)
+    assert error_name(53) == "error:53 (setting not available)"  # grblHAL's
+    assert "253" in error_name(253)
+    assert "unknown" in error_name(253)
+    assert "unknown" in alarm_name(117)
     known = [n for n in range(256) if "unknown" not in error_name(n)]
-    assert known == [*range(1, 18), *range(20, 39)]
-    assert [n for n in range(256) if "unknown" not in alarm_name(n)] == list(range(1, 11))
+    grbl, hal = [*range(1, 18), *range(20, 39)], [18, 19, 39, 43, 45, 46, 50, 51, 52, 53, 55, 79]
+    assert known == sorted(grbl + hal)
+    assert [n for n in range(256) if "unknown" not in alarm_name(n)] == [*range(1, 13), 17, 18]
 
 
 def test_pushes_are_never_counted_as_answers() -> None:

@@ -31,15 +31,22 @@ from drivers.leadshine import (
     StageSettings,
 )
 from drivers.leadshine.registers import (
+    HomeSearch,
     Path,
     PathMode,
     Status,
     Watch,
     alarm_name,
+    alarm_remedy,
+    homing_block,
     path_block,
     value_of,
     words_of,
 )
+from sim.leadshine import LeadshineDrive
+from sim.modbus import RtuServer
+from sim.motion import Limits
+from tests.sim.judges import StageRig, world_axis
 
 STATION = 7
 PULSES = 10_000
@@ -776,3 +783,72 @@ def test_nothing_is_ever_saved_to_the_drives_memory(drive: Drive) -> None:
     stage.move_to(5.0, drive.pause)
     stage.stop()
     assert drive.writes(0x1801) == []
+
+
+# --- beside the move -------------------------------------------------------------------------
+
+
+def test_against_a_stop_time_and_current_go_along_in_the_same_frame() -> None:
+    search = HomeSearch(HomingMethod.TORQUE, HomingSense.POSITIVE, 0, 120, 30, 200, 200, 150, 40)
+    assert homing_block(search) == (0x0D, 0, 0, 0, 0, 120, 30, 200, 200, 150, 40)
+    here = replace(search, method=HomingMethod.HERE, sense=HomingSense.NEGATIVE)
+    assert homing_block(here) == (0x20, 0, 0, 0, 0, 120, 30, 200, 200)
+    with pytest.raises(ValueError, match="torque_percent 101"):
+        homing_block(replace(search, torque_percent=101))
+
+
+def test_an_alarm_says_what_to_do() -> None:
+    assert alarm_remedy(Model.CS2RS, 0x180) == "remove what is in its way"
+    assert alarm_remedy(Model.EM, 0x02).startswith("check the supply")
+    assert alarm_remedy(Model.EM, 0x77) == "remove the cause"
+
+
+def test_the_drive_is_told_the_soft_limits_when_it_is_homed_and_they_are_lifted_before() -> None:
+    rig = StageRig()
+    rig.stage.home(rig.pause)
+    bus = rig.bus()
+    assert bus.read_holding(7, 0x6006, 4) == (9, 0x27C0, 0xFFFF, 0xD8F0)  # 300 mm and -5 mm
+    assert bus.read_holding(7, 0x6000, 1) == (2,)
+    rig.pause(0.2)
+    bus.write_registers(7, 0x6200, (1, 10, 0, 240, 100, 100, 0, 0x10))  # past the driver: 327 mm
+    rig.pause(30.0)
+    assert rig.truth_mm == pytest.approx(300.0, abs=0.001)
+    assert rig.drive.saves == 0
+    rig.stage.stop()
+    rig.stage.home(rig.pause)  # the limits lifted meanwhile
+    assert rig.stage.state().position == -3.0
+
+
+def test_a_search_that_finds_nothing_says_which_inputs_are_closed() -> None:
+    drive = Drive(enabled=True, words={0x0179: 0b101})
+    drive._look_for_home = lambda: None  # type: ignore[method-assign] # it hears, and stands
+    with pytest.raises(Refused, match="no reference, the drive stands, inputs closed: SI1, SI3;"):
+        stage_on(drive).home(drive.pause)
+
+
+# --- frames of the manuals that tell of errors -----------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("sent", "answered"),
+    [("01 03 00 01 00 01 D5 C1", "01 83 08 40 F6"), ("01 02 00 01 00 01 E8 0A", "01 82 01 81 60")],
+    ids=["wrong CRC", "wrong function"],
+)
+def test_the_simulated_drive_answers_the_manuals_errors_byte_for_byte(sent, answered) -> None:
+    """iEM-RS page 20, CS2RS page 25, CL57RS page 26: "example F", both of them."""
+    server = RtuServer({1: LeadshineDrive(world_axis("stage", 0.0, Limits(1.0, 1.0)))})
+    assert server.receive(bytes.fromhex(sent), 1.0) == bytes.fromhex(answered)
+
+
+def test_parameters_whose_answer_is_lost_are_read_back(drive: Drive) -> None:
+    drive.breaks.append(("write 0x600A", NoReply("stage: no answer"), False))
+    assert stage_on(drive).home(drive.pause).homed
+    assert len(drive.writes(0x600A)) == 1
+
+
+def test_parameters_that_were_not_heard_end_the_homing(drive: Drive) -> None:
+    drive.words.update(dict.fromkeys(range(0x600A, 0x6013), 0))
+    drive.breaks.append(("write 0x600A", NoReply("stage: no answer"), True))
+    with pytest.raises(NoReply):
+        stage_on(drive).home(drive.pause)
+    assert drive.writes(0x6002) == [(0x40,)]  # it was told to stop, and never to search

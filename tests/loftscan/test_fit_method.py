@@ -257,5 +257,7 @@ def test_slices_in_another_order_are_refused_with_the_two_that_are_out_of_it() -
     ],
 )
 def test_an_option_of_the_other_method_is_refused(given: dict[str, object], option: str) -> None:
-    with pytest.raises(ValueError, match=f"{option}: means nothing to --method {given['method']}"):
+    other = {"fit": "paper", "paper": "fit"}[str(given["method"])]
+    said = f"^{option}: means nothing to --method {given['method']}; .* or choose --method {other}$"
+    with pytest.raises(ValueError, match=said):
         reconstruct(stack(), **given)  # type: ignore[arg-type]

@@ -16,12 +16,23 @@ from reconstruction.errors import MissingExtra
 from tests.system.command_cases import contents
 
 
-def test_a_result_has_what_its_parts_have(part_result: Result) -> None:
-    done = part_result.reconstruction
-    assert part_result.surface is done.patches
-    assert part_result.sections is done.sections
-    assert part_result.mesh is done.mesh
-    assert part_result.name == "array"
+@pytest.mark.parametrize("method", ["fit", "paper"])
+def test_a_result_has_what_its_parts_have(
+    part_result: Result, paper_result: Result, method: str
+) -> None:
+    result = {"fit": part_result, "paper": paper_result}[method]
+    done = result.reconstruction
+    # A fit makes its patches when asked for them; the net in them is the one that was fitted.
+    for one, other in zip(result.surface, done.patches, strict=True):
+        assert one.control_points_mm.tobytes() == other.control_points_mm.tobytes()
+        assert (one.knots_u.tobytes(), one.knots_v.tobytes()) == (
+            other.knots_u.tobytes(), other.knots_v.tobytes()
+        )  # fmt: skip
+    if method == "paper":
+        assert result.surface is done.patches
+    assert result.sections is done.sections
+    assert result.mesh is done.mesh
+    assert result.name == "array"
 
 
 def test_saving_returns_the_folder_and_twice_gives_the_same_bytes(
@@ -40,7 +51,22 @@ def test_the_sections_of_the_folder_are_those_of_the_result(
 ) -> None:
     part_result.save("o", formats=["ply"])
     told = json.loads((place / "o/sections.json").read_text())["sections"]
+    # An entry a curve: this part has one a slice.
     for entry, section in zip(told, part_result.sections, strict=True):
+        (drawn,) = section.curves
+        assert entry["index"] == section.index
+        assert entry["height_mm"] == section.height_mm
+        assert entry["residual"]["rms_mm"] == drawn.residual_rms_mm
+        assert entry["residual"]["points"] == drawn.points
+        assert [tuple(gap) for gap in entry["gaps"]] == [tuple(gap) for gap in drawn.gaps]
+
+
+def test_the_sections_of_the_folder_are_those_of_the_paper(
+    place: Path, paper_result: Result, without_pictures: None
+) -> None:
+    paper_result.save("o", formats=["ply"])
+    told = json.loads((place / "o/sections.json").read_text())["sections"]
+    for entry, section in zip(told, paper_result.sections, strict=True):
         assert entry["index"] == section.index
         assert entry["height_mm"] == section.height_mm
         assert entry["residual"]["rms_mm"] == section.residual.rms_mm

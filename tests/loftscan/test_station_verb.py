@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from acquisition.errors import Stopped
+from acquisition.errors import NotNow, Stopped
 from acquisition.plan import ring
 from acquisition.scan_record import State
 from acquisition.scanfile import ScanFolder
@@ -361,6 +361,9 @@ def test_a_failed_scan_lets_go_of_its_folder_at_once(at: Rig, tmp_path: Path) ->
         assert at.at_rest
         assert ScanFolder.open(out).record().state is State.ABORTED
         ScanFolder.open(out).resume().close()
+        with pytest.raises(NotNow, match="remove the cause, then acknowledge"):
+            opened.home()
+        opened.acknowledge()
         assert [each.index for each in scan(opened, PLAN, out=out, resume=True)] == [0, 1, 2]
 
 

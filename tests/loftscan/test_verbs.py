@@ -156,18 +156,30 @@ def test_a_cloud_at_one_height_asks_for_another_axis() -> None:
         reconstruct(flat)
 
 
-def test_slices_that_are_missing_between_two_sections_are_marked_synthetic() -> None:
+def interrupted_tube() -> FloatArray:
+    """A tube whose rows 20 to 59 mm are missing, (n, 3)."""
     rng = np.random.default_rng(0)
     heights = np.concatenate([np.arange(20.0), np.arange(60.0, 80.0)]).repeat(400)
     angle = np.tile(np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False), 40)
     radius = 20.0 + rng.normal(0.0, 0.05, len(heights))
-    cloud = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), heights])
-    result = reconstruct(cloud, spacing_mm=1.0)
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), heights])
+
+
+def test_slices_that_are_missing_between_two_sections_are_marked_synthetic() -> None:
+    result = reconstruct(interrupted_tube(), spacing_mm=1.0, method="paper")
     between = np.abs(result.mesh.vertices_mm[:, 2] - 39.5) < 20.25
     assert between.sum() > 30 * 30
     assert result.mesh.synthetic[between].all()
     assert not result.mesh.synthetic[~between].any()
     assert result.metrics["watertight"]
+
+
+def test_a_fit_bridges_no_forty_slices_and_says_that_the_part_is_cut_off_there() -> None:
+    result = reconstruct(interrupted_tube(), spacing_mm=1.0)
+    assert (np.abs(result.mesh.vertices_mm[:, 2] - 39.5) > 19.9).all()
+    assert (result.metrics["components"], result.metrics["watertight"]) == (2, True)
+    assert any(said.startswith("slices 20-59: no section, so") for said in result.warnings)
+    assert any("4 closed by a flat cap" in said for said in result.warnings)
 
 
 def test_a_cone_without_two_equal_sections_is_saved_without_step(tmp_path: Path) -> None:
@@ -178,7 +190,7 @@ def test_a_cone_without_two_equal_sections_is_saved_without_step(tmp_path: Path)
         radius = size + rng.normal(0.0, 0.05, 3000)
         ring = [radius * np.cos(angle), radius * np.sin(angle), np.full(3000, height)]
         rings.append(np.column_stack(ring))
-    result = reconstruct(np.concatenate(rings), spacing_mm=10.0)
+    result = reconstruct(np.concatenate(rings), spacing_mm=10.0, method="paper")
     assert result.surface == ()
     assert any("no NURBS patch" in warning for warning in result.warnings)
     result.save(tmp_path / "out", formats=["step", "3dm", "stl"])

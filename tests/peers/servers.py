@@ -5,7 +5,7 @@ line after that is a request that writes, its PDU in hex.
 
 ::
 
-    a driver --> pty <--pump--> pty <-- RtuServer       drive, contact
+    a driver --> pty <--pump--> pty <-- RtuServer       drive, turntable, contact
     a driver ---------------------> TcpServer           block, unwatched, sensor
 
 The registers are written here from the manuals, as a third party would; nothing of ours is used.
@@ -54,7 +54,8 @@ def stores(slave: Slave, pdu: bytes) -> None:
 class Moves:
     """A drive's 0x1003: after a start its bits drop late, stay down while it moves, come back."""
 
-    STALE_S, MOVING_S = 0.05, 0.25
+    # So long that a driver on a busy machine does not miss it.
+    STALE_S, MOVING_S = 0.05, 0.75
     ENABLED, RUNNING, COMMAND_DONE, PATH_DONE, HOMED = 0x02, 0x04, 0x10, 0x20, 0x40
 
     def __init__(self) -> None:
@@ -85,6 +86,34 @@ class Moves:
             slave.set_values("holding 0x6000", 0x602C, self._counts)
 
 
+class Turns:
+    """An AZ drive's 0x007E: MOVE late after the start of a direct data operation, READY after."""
+
+    STALE_S, MOVING_S = 0.03, 0.75
+    HOME_END, READY, MOVE, IN_POSITION = 0x10, 0x20, 0x2000, 0x4000
+
+    def __init__(self) -> None:
+        self._begun_s = -1.0
+        self._home = 0
+        self._counts: tuple[int, ...] = (0, 0)
+
+    def __call__(self, slave: Slave, pdu: bytes) -> None:
+        """Begin what a request asks for; tell how far the drive is."""
+        function, first = struct.unpack_from(">BH", pdu)
+        if (function, first) == (16, 0x0058) and pdu.endswith(b"\x00\x00\x00\x01"):
+            self._counts = struct.unpack_from(">HH", pdu, 14)
+            self._begun_s = time.monotonic()
+        if (function, first) == (16, 0x0078) and pdu.endswith(b"\x00\x10"):
+            self._counts, self._home = (0, 0), self.HOME_END
+            self._begun_s = time.monotonic()
+        since_s = time.monotonic() - self._begun_s
+        moves = self.STALE_S <= since_s < self.STALE_S + self.MOVING_S
+        word = self._home | (self.MOVE if moves else self.READY | self.IN_POSITION)
+        slave.set_values("holding 0x7e", 0x007E, (0, word))
+        if since_s >= self.STALE_S + self.MOVING_S:
+            slave.set_values("holding 0x120", 0x0120, self._counts)
+
+
 def sets_up(slave: Slave, pdu: bytes) -> None:
     """Load a setup into the sensor, in its parametrisation and only there."""
     if pdu[0] == 6:
@@ -106,6 +135,17 @@ class Bank:
     does: Callable[[Slave, bytes], None] = stores
 
 
+def measures(slave: Slave, pdu: bytes) -> None:
+    """A profile for each word that is written to its trigger, and then its number and its flag."""
+    if pdu[:3] != b"\x06\x00\x20":
+        return
+    um = [-0x8000_0000 if 10 <= k < 50 else -3000 + 2013 * k for k in range(150)]
+    words = struct.unpack("<300H", struct.pack("<150i", *um))
+    slave.set_values("inputs 0x100", 0x0100, words)
+    (number,) = slave.get_values("inputs 0x4", 0x0005, 1)
+    slave.set_values("inputs 0x4", 0x0004, [0b1000, number + 1])
+
+
 BANKS: Mapping[str, Callable[[], Bank]] = {
     # Leadshine: 10 000 pulses, closed loop, enabled; path 0 and what is around 0x6002.
     "drive": lambda: Bank(
@@ -118,6 +158,13 @@ BANKS: Mapping[str, Callable[[], Bank]] = {
         7,
         {0x0000: [0, 10_000, 0, 2], 0x1003: [0x72], 0x2203: [0], 0x6000: [0] * 48,
          0x6200: [0] * 8},
+    ),
+    # AZ: direct data, pulsed inputs, outputs and alarm, count, gear 1 : 1, wraps at 36 turns.
+    "turntable": lambda: Bank(
+        5,
+        {0x0058: [0] * 16, 0x0078: [0, 0], 0x007E: [0, 0x20, 0, 0], 0x0120: [0, 0],
+         0x0380: [0, 1, 0, 1], 0x038E: [0, 1, 0, 360]},
+        does=Turns(),
     ),
     "contact": lambda: Bank(3, coils={0: [0] * 4}),
     "block": lambda: Bank(
@@ -139,8 +186,12 @@ BANKS: Mapping[str, Callable[[], Bank]] = {
         },
         does=sets_up,
     ),
+    # 150 columns of 32 bits, low word first, -3 mm to 296.9 mm in um; 40 of them did not return.
+    "columns": lambda: Bank(
+        9, {0x0020: [0]}, {0x0004: [0, 6], 0x0100: [0] * 300}, does=measures,
+    ),
 }  # fmt: skip
-_ON_A_LINE = ("drive", "stuck", "contact")
+_ON_A_LINE = ("drive", "stuck", "turntable", "contact", "columns")
 
 
 def main(kind: str) -> None:

@@ -109,13 +109,16 @@ def test_the_stage_homes_moves_and_stops_in_the_frames_of_the_manual(drive) -> N
     for target_mm in (35.0, -1.5):
         begun_s = time.monotonic()
         state = stage.move_to(target_mm, time.sleep)
-        assert time.monotonic() - begun_s > 0.29  # not by the old "path complete"
+        assert time.monotonic() - begun_s > 0.79  # not by the old "path complete"
         assert (state.motion, state.position, state.homed) == (Motion.STANDING, target_mm, True)
     stage.stop()
     assert peer.written() == [
         # home switch, negative; -6000 twice; 120 and 30 rpm; 200 ms twice
         "10 60 0a 00 09 12 00 04 ff ff e8 90 ff ff e8 90 00 78 00 1e 00 c8 00 c8",
         "06 60 02 00 20",
+        # the drive minds the soft limits: 600 000 and -10 000
+        "10 60 06 00 04 08 00 09 27 c0 ff ff d8 f0",
+        "06 60 00 00 02",
         # absolute, 70 000, 240 rpm, 200 ms twice, no dwell, go
         "10 62 00 00 08 10 00 01 00 01 11 70 00 f0 00 c8 00 c8 00 00 00 10",
         "10 62 00 00 08 10 00 01 ff ff f4 48 00 f0 00 c8 00 c8 00 00 00 10",
@@ -128,7 +131,7 @@ def test_the_stage_says_who_it_is_without_the_registers_it_lacks(drive) -> None:
     who = LeadshineStage(bus, 7, STAGE).identify()
     assert (who.model, who.firmware) == ("CS2RS, closed loop, 10000 pulses/rev", "")
     assert peer.written() == []
-    assert bus.tally().refusals == 2  # version and firmware: exception 2
+    assert bus.tally().refusals == 3  # direction, version and firmware: exception 2
 
 
 def test_a_drive_that_goes_nowhere_is_not_believed_its_old_bits() -> None:

@@ -105,6 +105,18 @@ def test_gaps_are_marked_on_an_exact_surface_as_well(tube: Skinned) -> None:
     assert not tube.mesh.synthetic[far].any()
 
 
+@pytest.mark.parametrize("recognition", Exact)
+def test_where_slices_are_missing_the_mesh_stands_on_no_measured_point(recognition: Exact) -> None:
+    kept = np.delete(HEIGHTS, [10, 11])
+    mesh = skin_slices(pieces(steady(20.0), heights=kept), exact=recognition).mesh
+    way = np.abs(mesh.vertices_mm[:, 2] - 0.5 * (HEIGHTS[9] + HEIGHTS[12]))
+    inside = way < 1.5 * STEP - 0.01
+    assert inside.any()
+    assert mesh.synthetic[inside].all()
+    # Boxes of the lattice that shows gaps within slices are two slices high.
+    assert not mesh.synthetic[way > 3.5 * STEP].any()
+
+
 def test_the_deviation_anywhere_is_that_of_the_shape_also_in_a_gap(tube: Skinned) -> None:
     skin = exact(tube)
     u, v = grid(skin)

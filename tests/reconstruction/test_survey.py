@@ -78,6 +78,15 @@ def test_levels_of_a_shuffled_cloud_become_the_slices(rows: int) -> None:
     assert np.abs(phase(points[:, 2], found)).max() < 0.25
 
 
+@pytest.mark.parametrize("height_mm", [0.7, 3.4, 9.3])
+def test_a_stray_between_levels_does_not_move_them(height_mm: float) -> None:
+    rows = cylinder(rows=6, row_mm=2.0, points_a_row=240)
+    strays = np.array([[60.0, 0.0, height_mm], [0.0, 60.0, height_mm + 0.2]])
+    found = spacing_of(np.concatenate([rows, strays]))
+    assert found.rule is SpacingRule.LEVELS
+    assert found.step_mm == pytest.approx(2.0, rel=1e-9)
+
+
 def test_a_thin_cloud_has_several_rows_to_a_slice() -> None:
     # 12 points around 126 mm, rows 0.5 mm apart: slices half as far apart as points in them need
     # sqrt(0.5 * 126 / 12 / 0.5) = 3.2, that is 4 rows.

@@ -10,7 +10,7 @@ from drivers.modbus import Framing
 from drivers.relay import Coil, OutputBit, PlainRelay, WatchedBlock
 from sim.device import ModbusRefusal
 from sim.modbus import RtuServer, TcpSession
-from sim.relay import Block, RelayBlock, RelaySettings
+from sim.relay import Block, Contact, RelayBlock, RelaySettings
 from tests.sim.judges import START_S, RelayRig, Rig, dark_world
 
 WATCHDOG_MS, LEFT_MS, OUTPUTS = 0x1120, 0x1020, 0x0800
@@ -121,10 +121,14 @@ def test_a_coil_that_is_not_there_is_refused_and_nothing_switched():
     assert block.read_coils(0, 4, START_S) == [False] * 4
 
 
-def test_nothing_is_wired_to_the_inputs():
+def test_the_safety_chain_is_closed_until_it_is_pressed_and_beyond_it_nothing_is_wired():
     block = block_of()
-    assert block.read_discrete(0, 16, START_S) == [False] * 16
-    assert block.read_holding(0x0000, 4, START_S) == [0] * 4
+    assert block.read_discrete(0, 16, START_S) == [True] * 3 + [False] * 13
+    assert block.read_holding(0x0000, 1, START_S) == [0b111]
+    block.press(Contact.ESTOP)
+    assert block.read_holding(0x0000, 1, START_S) == [0b110]
+    block.release(Contact.ESTOP)
+    assert block.read_holding(0x0000, 4, START_S) == [0b111, 0, 0, 0]
     with pytest.raises(ModbusRefusal):
         block.read_discrete(16 * 0x200 - 1, 2, START_S)
 

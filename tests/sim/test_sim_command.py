@@ -36,6 +36,7 @@ from drivers.errors import NoReply, Refused
 from drivers.links import open_link
 from sim.__main__ import main
 from sim.arrays import FloatArray
+from sim.cabling import Cabling
 from sim.faults import (
     Breath,
     Dropping,
@@ -311,7 +312,8 @@ def served(layout: Layout, part: Part, faults: str = "") -> Iterator[Live]:
     witness, ending, planted = Memory(), Ending(), parse_faults(faults)
     devices = build(layout, part, witness, time.monotonic(), faults=planted)
     with tempfile.TemporaryDirectory() as folder, Server(lively=devices.lively) as server:
-        addresses = connect(devices, layout, planted, server, Path(folder))
+        cabling = Cabling(planted, layout.seed, witness)
+        addresses = connect(devices, layout, cabling, server, Path(folder))
         thread = threading.Thread(target=server.run, args=(ending,))
         thread.start()
         try:
@@ -421,7 +423,7 @@ def test_homing_moving_and_one_exposure_end_where_they_should() -> None:
 
 
 def exposure(station: OpenStation):  # type: ignore[no-untyped-def]
-    with lasing(station.laser, Lease(0.12, station.clock)):
+    with lasing(station.laser.switch, Lease(0.12, station.clock)):
         assert station.laser.is_on()
         station.profiler.discard()
         return next(station.profiler.profiles(0.1))

@@ -156,12 +156,19 @@ def test_an_implausible_size_is_a_warning_that_names_the_unit(
     assert ran.stderr.startswith("warning: the part is ")
     assert said in ran.stderr
     assert f"With --unit {unit} it would be 10" in ran.stderr
-    assert len(ran.stderr.splitlines()) == 1
+    assert sum("wide in --unit" in line for line in ran.stderr.splitlines()) == 1
+    assert all(line.startswith("warning: ") for line in ran.stderr.splitlines())
     assert "watertight" in ran.stdout
+    ran = succeeded(
+        run("reconstruct", "part.npy", "--out", "p", "--formats", "ply", "--method", "paper")
+    )
+    assert len(ran.stderr.splitlines()) == 1
 
 
 def test_a_plausible_size_is_no_warning(place: Path, cloud: str, without_pictures: None) -> None:
-    assert succeeded(run("reconstruct", cloud, "--out", "o", "--formats", "ply")).stderr == ""
+    options = ("reconstruct", cloud, "--formats", "ply")
+    assert "wide in --unit" not in succeeded(run(*options, "--out", "o")).stderr
+    assert succeeded(run(*options, "--out", "p", "--method", "paper")).stderr == ""
 
 
 # -- wrong options -------------------------------------------------------------------------------
@@ -171,13 +178,24 @@ def test_a_plausible_size_is_no_warning(place: Path, cloud: str, without_picture
     ("options", "said"),
     [
         (["--axis", "w"], "--axis 'w': one of x, y, z expected"),
-        (["--method", "spline"], "--method 'spline': one of paper, fit expected"),
-        (["--exact", "never"], "--exact: means nothing to --method paper; leave it out"),
-        (["--nurbs", "always"], "--nurbs: means nothing to --method paper; leave it out"),
-        (["--method", "fit", "--nurbs", "no"], "--nurbs 'no': one of auto, always expected"),
+        (["--method", "spline"], "--method 'spline': one of fit, paper expected"),
         (
-            ["--method", "fit", "--resolution-mm", "1"],
-            "--resolution-mm: means nothing to --method fit; leave it out",
+            ["--method", "paper", "--nurbs", "always"],
+            "--nurbs: means nothing to --method paper; leave it out, or choose --method fit",
+        ),
+        (["--nurbs", "no"], "--nurbs 'no': one of auto, always expected"),
+        (
+            ["--method", "paper", "--exact", "never"],
+            "--exact: means nothing to --method paper; leave it out, or choose --method fit",
+        ),
+        (
+            ["--resolution-mm", "1"],
+            "--resolution-mm: means nothing to --method fit; leave it out, or choose"
+            " --method paper",
+        ),
+        (
+            ["--intermediate", "2"],
+            "--intermediate: means nothing to --method fit; leave it out, or choose --method paper",
         ),
         (["--unit", "km"], "--unit 'km': one of mm, cm, m, um, inch expected"),
         (
@@ -206,7 +224,9 @@ def test_a_wrong_option_is_bad_usage(
 
 def test_a_spacing_larger_than_the_part_makes_no_surface(place: Path, cloud: str) -> None:
     line = refused(place, 1, "reconstruct", cloud, "--out", "o", "--spacing-mm", "500")
-    assert line == ("1 of 1 slices gave a section, two are needed: choose a smaller --spacing-mm")
+    assert line == (
+        "1 of 1 slices gave a closed section, two are needed: choose a smaller --spacing-mm"
+    )
 
 
 def test_an_absurdly_small_spacing_is_refused_before_it_fills_the_memory(

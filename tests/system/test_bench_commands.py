@@ -134,7 +134,11 @@ def test_every_device_says_who_it_is_how_it_was_checked_and_what_guards_the_lase
 
 def test_the_tiers_are_those_of_the_protocols_page() -> None:
     page = (REPOSITORY / "docs/protocols/README.md").read_text()
-    said = dict(re.findall(r"^\| \[.*?\]\((\w+)\.md\).*?\| \*\*(.*?)\*\* \|", page, re.MULTILINE))
+    said = dict(
+        re.findall(
+            r"^\| \[.*?\]\(\w+\.md\), `drivers/(\w+)/`.*?\| \*\*(.*?)\*\* \|", page, re.MULTILINE
+        )
+    )
     in_short = {tier.value: tier.value.replace("vendor or ", "") for tier in Tier}
     assert said == {family: in_short[tier.value] for family, tier in TIERS.items()}
     assert all(f"| {tier.value} |" in page for tier in Tier)
@@ -691,6 +695,33 @@ def test_init_knows_a_station_without_a_laser_switch(place: Path) -> None:
 def test_init_refuses_what_no_station_can_have(place: Path, options: list[str], said: str) -> None:
     assert complaint(run("init", *options), 2).startswith(said)
     assert not Path("station.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("table", "stage"), [("zaber", "zaber"), ("oriental", "leadshine"), ("grbl", "oriental")]
+)
+def test_init_writes_a_station_of_these_families(place: Path, table: str, stage: str) -> None:
+    succeeded(run("init", "--table-family", table, "--stage-family", stage, "--plan", "plan.toml"))
+    written = read_station(Path("station.toml"))
+    assert (written.table.family, written.stage.family) == (table, stage)
+    assert "PLACEHOLDER" in Path("station.toml").read_text()
+
+
+@pytest.mark.parametrize("profiler", ["baumer_ox", "riftek", "registers", "banner_ez_array"])
+def test_init_writes_a_station_with_this_profiler(place: Path, profiler: str) -> None:
+    succeeded(run("init", "--profiler-family", profiler))
+    assert read_station(Path("station.toml")).profiler.family == profiler
+
+
+def test_init_refuses_families_that_it_does_not_know_and_keys_that_are_not_theirs(
+    place: Path,
+) -> None:
+    said = complaint(run("init", "--table-family", "abacus"), 2)
+    assert said.startswith("--table-family: 'abacus' is not known; write grbl or zaber")
+    said = complaint(run("init", "--profiler-family", "abacus"), 2)
+    assert said.startswith("--profiler-family: 'abacus' is not known; write baumer_ox or riftek")
+    said = complaint(run("init", "--table-family", "zaber", "--steps-per-deg", 80), 2)
+    assert "table.steps_per_deg: unknown key" in said
 
 
 def test_init_asks_on_a_terminal_and_asks_again_for_what_it_cannot_read(place: Path) -> None:

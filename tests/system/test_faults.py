@@ -139,6 +139,10 @@ def scan(station: object, plan: str, *options: object) -> Ended:
 
 
 def ended(code: int, stdout: str, stderr: str) -> Ended:
+    # A guard that found the laser not seen to be off says so, after the program's own line.
+    stderr = "".join(
+        line for line in stderr.splitlines(keepends=True) if not line.startswith("loftscan guard: ")
+    )
     assert stderr.count("\n") == (code != 0), stderr
     assert "Traceback" not in stderr
     events = map(json.loads, stdout.splitlines())
@@ -241,6 +245,46 @@ def test_a_device_that_does_not_answer(
         assert_told(end.line, end.code, title)
         assert not Path("part.scan").exists()
         assert_dark(station)
+
+
+def test_an_emergency_stop_that_is_pressed_already(place: Path, plan: str) -> None:
+    with simulate(seed=SEED, scale=SCALE) as station:
+        station.press("estop")
+        end = scan(station, plan)
+        assert_told(end.line, end.code, "The emergency stop is pressed")
+        assert not Path("part.scan").exists()
+        assert_dark(station)
+        station.release("estop")
+        succeeded(run("scan", station, plan, "--out", "part.scan"))
+
+
+@pytest.mark.parametrize("laser", ["plain", "grbl", "timed", "none"])
+def test_a_laser_that_only_a_person_could_turn_off_is_not_lit_for_nobody(
+    place: Path, plan: str, laser: str
+) -> None:
+    with simulate(seed=SEED, scale=SCALE, laser=laser) as station:
+        end = scan(station, plan)
+        titles = {
+            "plain": "Nobody is there to press the emergency stop",
+            "grbl": "Nobody is there, and a Grbl board switches the laser",
+            "timed": "Nobody is there, and a timed relay switches the laser",
+            "none": "Nobody is there, and nothing switches the laser",
+        }
+        assert_told(end.line, end.code, titles[laser])
+        if laser != "none":
+            assert_dark(station)
+        ran = run("scan", station, plan, "--out", "part.scan", "--attended")
+        succeeded(ran)
+        assert "guard: " in ran.stdout
+
+
+def test_a_guard_that_does_not_live_lets_nothing_be_lit(
+    station: Simulated, place: Path, plan: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("acquisition.safety.guarding.sys.executable", "/bin/false")
+    end = scan(station, plan)
+    assert_told(end.line, end.code, "The guard does not live")
+    assert not Path("part.scan").exists()
 
 
 def test_a_port_that_does_not_exist(station: Simulated, place: Path, plan: str) -> None:

@@ -1,0 +1,143 @@
+"""[profiler] of station.toml, family by family: read, written, refused in one line, made."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from acquisition.profiler_settings import BannerEzArray, RegisterProfiler, Riftek, RiftekTrigger
+from acquisition.profilers import as_it_is, lost_profile, profiler_maker
+from acquisition.station import Station, parse_station, write_station
+from drivers.profiler import Reason
+from drivers.register_profiler import Flag, Packing, Table, Trigger, WordOrder
+from drivers.riftek import Sync
+from tests.acquisition.scan_cases import STATION
+
+REGISTERS = RegisterProfiler(
+    address="serial:///dev/ttyUSB2?baud=115200&parity=E",
+    first_register=16,
+    rate_hz=50.0,
+    points_per_profile=320,
+    z_mm_per_count=0.01,
+    z_offset_mm=150.0,
+    column_pitch_mm=0.25,
+    first_column_mm=-40.0,
+    no_return_value=65_535,
+    sequence_register=1,
+)
+RIFTEK = Riftek(
+    address="tcp://192.168.1.30:80",
+    profiles="udp://:50001",
+    rate_hz=490.0,
+    points_per_profile=648,
+    set_rate=True,
+    exposure_us=300.0,
+    trigger=RiftekTrigger.SOFTWARE,
+    z_offset_mm=75.0,
+)
+SCREEN = BannerEzArray(
+    address="tcp://192.168.1.31:502", rate_hz=20.0, points_per_profile=120, channel_pitch_mm=5.0
+)
+
+
+def station_with(profiler: object) -> Station:
+    return replace(STATION, profiler=profiler)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("profiler", [REGISTERS, RIFTEK, SCREEN])
+def test_a_station_with_this_profiler_is_written_and_read_back(profiler) -> None:
+    station = station_with(profiler)
+    text = write_station(station)
+    assert parse_station(text) == station
+    assert f'[profiler]\nfamily = "{profiler.family}"' in text
+
+
+def test_what_the_file_says_of_registers_is_what_the_driver_reads_by() -> None:
+    layout = replace(
+        REGISTERS, function=3, words_per_value=2, signed=True, saturated_value=-1,
+        ready_register=4, ready_bit=3, trigger_register=9, trigger_value=7,
+    ).layout  # fmt: skip
+    assert (layout.table, layout.packing) == (Table.HOLDING, Packing.TWO_WORDS)
+    assert (layout.word_order, layout.signed) == (WordOrder.HIGH_FIRST, True)
+    assert layout.registers == range(16, 16 + 640)
+    assert layout.missing == ((65_535, Reason.NO_RETURN), (-1, Reason.SATURATED))
+    assert (layout.sequence_register, layout.ready, layout.trigger) == (
+        1,
+        Flag(4, 3),
+        Trigger(9, 7),
+    )
+    assert (layout.column_pitch_mm, layout.first_column_mm) == (0.25, -40.0)
+    assert (layout.z_mm_per_count, layout.z_offset_mm) == (0.01, 150.0)
+
+
+def test_what_is_written_to_a_riftek_is_in_its_units_and_can_be_left_out() -> None:
+    told = RIFTEK.driver_settings
+    assert (told.rate_hz, told.exposure_us, told.sync) == (490, 300.0, Sync.SOFTWARE)
+    plain = as_it_is(RIFTEK)
+    assert isinstance(plain, Riftek)
+    assert plain.driver_settings.parameters == {}
+    assert as_it_is(REGISTERS) is REGISTERS
+
+
+@pytest.mark.parametrize("profiler", [REGISTERS, RIFTEK, SCREEN, STATION.profiler])
+def test_a_lost_profile_has_every_place_of_this_family(profiler) -> None:
+    lost = lost_profile(profiler)
+    assert np.all(lost.reasons == Reason.LOST)
+    assert len(lost.reasons) == profiler.points_per_profile
+
+
+@pytest.mark.parametrize(
+    ("profiler", "pattern", "instead", "said"),
+    [
+        (REGISTERS, 'family = "registers"', 'family = "modbus"', "family: 'modbus' is not"),
+        (REGISTERS, "function = 4", "function = 6", "profiler.function: 6 is out of bounds"),
+        (REGISTERS, "first_register = 16", "first_register = 65500",
+         "profiler.first_register: 320 columns from 65500 on end at 65819; the last register is"),
+        (REGISTERS, "first_register = 16", "first_register = -1", "profiler.first_register: -1 is"),
+        (REGISTERS, "points_per_profile = 320", "points_per_profile = 0",
+         "profiler.points_per_profile: 0 is out of bounds"),
+        (REGISTERS, "words_per_value = 1", "words_per_value = 3", "words_per_value: 3 is out of"),
+        (REGISTERS, "z_mm_per_count = 0.01", "z_mm_per_count = 0.0",
+         "profiler.z_mm_per_count = 0.0; it must be finite and not 0"),
+        (REGISTERS, "z_mm_per_count = 0.01", "z_mm_per_count = nan",
+         "profiler.z_mm_per_count: nan is out of bounds"),
+        (REGISTERS, "column_pitch_mm = 0.25", "column_pitch_mm = 0", "column_pitch_mm = 0.0; it"),
+        (REGISTERS, "no_return_value = 65535", "no_return_value = 65536",
+         "profiler.no_return_value: 65536; write a whole number from 0 to 65535"),
+        (REGISTERS, "# saturated_value =", "saturated_value = 65535 #",
+         "profiler.saturated_value: 65535 stands for no_return_value, too"),
+        (REGISTERS, "sequence_register = 1 ", "sequence_register = 20 ",
+         "profiler.sequence_register: 20 holds a column"),
+        (REGISTERS, "^sequence_register = 1 .*", "",
+         "profiler.points_per_profile: 320 registers are more than one frame's 125"),
+        (REGISTERS, "^sequence_register = 1 .*", "trigger_register = 3",
+         "profiler.trigger_register: nothing tells when the profile is there"),
+        (REGISTERS, "ready_bit = 0", "ready_bit = 16", "profiler.ready_bit: 16 is out of bounds"),
+        (REGISTERS, 'word_order = "high first"', 'word_order = "big"', "word_order: 'big' is not"),
+        (SCREEN, "points_per_profile = 120", "points_per_profile = 481", "481 is out of bounds"),
+        (SCREEN, "channel_pitch_mm = 5.0", "channel_pitch_mm = 0.0", "column_pitch_mm = 0.0"),
+        (RIFTEK, "rate_hz = 490.0", "rate_hz = 490.5", "profiler.rate_hz: 490.5; the sensor takes"),
+        (RIFTEK, "rate_hz = 490.0", "rate_hz = 20001.0", "profiler.rate_hz: 20001; the sensor"),
+        (RIFTEK, "exposure_us = 300.0", "exposure_us = 1.0", "exposure_us: 1.0 is out of bounds"),
+        (RIFTEK, 'address = "tcp://192.168.1.30:80"', 'address = "http://192.168.1.30"',
+         "profiler.address: 'http://192.168.1.30' is no address; begin it with one of tcp://"),
+        (RIFTEK, 'profiles = "udp://:50001"', 'profiles = "udp://"', "profiler.profiles: address"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_named_in_one_line(profiler, pattern, instead, said) -> None:
+    text = write_station(station_with(profiler))
+    head, table, rest = text.partition("[profiler]")
+    changed, count = re.subn(pattern, instead, rest, count=1, flags=re.MULTILINE)
+    assert count == 1, pattern
+    with pytest.raises(ValueError, match=re.escape(said)) as refused:
+        parse_station(head + table + changed)
+    assert str(refused.value).startswith("station.toml: profiler.")
+    assert "\n" not in str(refused.value)
+
+
+def test_a_maker_checks_its_settings_and_opens_nothing() -> None:
+    for profiler in (REGISTERS, RIFTEK, SCREEN, STATION.profiler):
+        assert callable(profiler_maker(profiler))
