@@ -13,16 +13,18 @@ from threadpoolctl import threadpool_limits
 
 from reconstruction.arrays import FloatArray
 from reconstruction.nurbs import evaluate_surface
+from reconstruction.skinning.feet import nearby
 from reconstruction.skinning.laying import Laid
 from reconstruction.skinning.merging import Cells, merged_for
-from reconstruction.skinning.net import Net
+from reconstruction.skinning.net import Net, derivatives_at
 from reconstruction.skinning.noise import Noise
+from reconstruction.skinning.outlines import Moments
 from reconstruction.skinning.rounds import Manner, Rim, State, do_round
 from reconstruction.skinning.stiffness import Lattice
 from reconstruction.skinning.tensor_fit import Posterior, TensorFit, log_stiffness
 
 _COLUMNS = 64
-_LINES = 16  # a span's, along v
+_LINES = 4  # a span's, along v
 _NOISE = 3.0  # standard deviations of a point ...
 _BENDS = 0.25  # ... and of the bend from outline to outline, that a fit may lie off between them
 _SCATTER = 4.0  # times the outlines' own, as a variance: the fit has lost them
@@ -55,16 +57,16 @@ def keeps_near(fit: TensorFit, spline: Net, rows_mm: FloatArray, noise: Noise) -
 
 
 def _apart(one: Net, other: Net) -> FloatArray:
-    """How far lines of one surface lie from the other's nearest places of like u, (lines, columns).
+    """How far lines of v of one surface lie from the other, (lines, columns).
 
-    Lines of v run along one another; where on them a place is does not matter.
+    From its nearest place: their parameters need not agree, least of all between edges.
     """
-    lines = [_lines(net) for net in (one, other)]
-    apart = np.empty(lines[0].shape[:2])
-    for column in range(_COLUMNS):
-        ways = lines[0][:, column, None] - lines[1][None, :, column]
-        apart[:, column] = np.linalg.norm(ways, axis=2).min(axis=1)
-    return apart
+    lines = _lines(one)
+    places = lines.reshape(-1, 3)
+    points = Moments(np.ones(len(places)), places, np.zeros((len(places), 3, 3)))
+    _, u, v = nearby(other, points, np.inf)
+    feet = derivatives_at(other, u, v)[:, 0]
+    return np.asarray(np.linalg.norm(places - feet, axis=1).reshape(lines.shape[:2]))
 
 
 def _lines(net: Net) -> FloatArray:
