@@ -107,7 +107,7 @@ class LeadshineStage:
         timeout_s = self._settings.homing_s()
         with unless_done(self._give_up):
             self._lift_limits()
-            self._write(Register.HOMING, homing_block(self._settings.home_search()))
+            self._keep(Register.HOMING, homing_block(self._settings.home_search()))
             self._homing = True
             # Never re-sent either: a lost answer shows in the status, as a lost request does.
             with suppress(NoReply, FrameError):
@@ -215,7 +215,7 @@ class LeadshineStage:
         """The drive's own limits are in a count that homing is about to change."""
         flags = self._read_if_there(Register.PATHS)
         if flags is not None and flags & LIMITED:
-            self._write_one(Register.PATHS, flags & ~LIMITED)
+            self._keep(Register.PATHS, [flags & ~LIMITED])
 
     def _set_limits(self) -> None:
         """Have the drive mind the soft limits, too; nothing is saved in it."""
@@ -223,8 +223,21 @@ class LeadshineStage:
         if flags is not None:
             ends = (self._settings.high_mm, self._settings.low_mm)
             words = [word for end in ends for word in words_of(self._settings.counts(end))]
-            self._write(Register.SOFT_LIMITS, words)
-            self._write_one(Register.PATHS, flags | LIMITED)
+            self._keep(Register.SOFT_LIMITS, words)
+            self._keep(Register.PATHS, [flags | LIMITED])
+
+    def _keep(self, first: Register, words: Sequence[int]) -> None:
+        """Write parameters once; where the answer was lost they are read back and compared."""
+        try:
+            if len(words) == 1:
+                self._write_one(first, words[0])
+            else:
+                self._write(first, words)
+        except (NoReply, FrameError):
+            with self._on_the_bus():
+                found = self._bus.read_holding(self._device_id, first, len(words))
+            if found != tuple(words):
+                raise
 
     def _must_be_inside(self, position_mm: float) -> None:
         low_mm, high_mm = self._settings.low_mm, self._settings.high_mm

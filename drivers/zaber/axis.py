@@ -13,6 +13,7 @@ device counted, and steps that were lost do not show in it.
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from typing import Final
 
 from drivers.axis import AxisState, Identity, Kind, Motion, Pause
@@ -125,8 +126,8 @@ class ZaberAxis:
             self._must_have_arrived(position, state, flags, lost)
             return state
 
-    def _start(self, command: str, pause: Pause) -> DriverError | None:
-        """Send it once. A lost answer is returned: the status will tell what became of it."""
+    def _start(self, command: str, pause: Pause | None) -> DriverError | None:
+        """Send it once. A lost answer is returned: what is read next tells what became of it."""
         try:
             self._order(command, pause)
         except (NoReply, FrameError) as lost:
@@ -195,7 +196,7 @@ class ZaberAxis:
 
     def _clear_flags(self, pause: Pause) -> None:
         """Flags of before are no news of this homing; a fault that stays is."""
-        self._order("warnings clear", pause)
+        self._start("warnings clear", pause)
         self._must_be_sound("homing", pause)
 
     def _must_be_sound(self, during: str, pause: Pause) -> tuple[str, ...]:
@@ -218,7 +219,8 @@ class ZaberAxis:
         settings, device = self._settings, self._settings.device
         first = self._chain.ask(device, 0, "get deviceid", pause)
         if not first.checked:
-            self._chain.order(device, 0, "set comm.checksum 1", pause)
+            with suppress(NoReply, FrameError):  # the next reply shows whether it was heard
+                self._chain.order(device, 0, "set comm.checksum 1", pause)
         self._chain.expect_checks(device)
         identity = Identity(
             family="zaber",
@@ -268,8 +270,14 @@ class ZaberAxis:
 
     def _set_speed(self, pause: Pause | None) -> None:
         """Written only where it differs: the device keeps its settings for good."""
-        if self._count("maxspeed", pause) != self._settings.speed_wire:
-            self._order(f"set maxspeed {self._settings.speed_wire}", pause)
+        wanted = self._settings.speed_wire
+        if self._count("maxspeed", pause) != wanted:
+            lost = self._start(f"set maxspeed {wanted}", pause)
+            found = self._count("maxspeed", pause)
+            if found != wanted:
+                raise Refused(
+                    f"{self._name}: maxspeed is {found}, {wanted} was to be set; is it too fast?"
+                ) from lost
         self._acceleration_wire = self._count("accel", pause)
 
     def _status(self, pause: Pause | None) -> Reply:

@@ -838,3 +838,17 @@ def test_the_simulated_drive_answers_the_manuals_errors_byte_for_byte(sent, answ
     """iEM-RS page 20, CS2RS page 25, CL57RS page 26: "example F", both of them."""
     server = RtuServer({1: LeadshineDrive(world_axis("stage", 0.0, Limits(1.0, 1.0)))})
     assert server.receive(bytes.fromhex(sent), 1.0) == bytes.fromhex(answered)
+
+
+def test_parameters_whose_answer_is_lost_are_read_back(drive: Drive) -> None:
+    drive.breaks.append(("write 0x600A", NoReply("stage: no answer"), False))
+    assert stage_on(drive).home(drive.pause).homed
+    assert len(drive.writes(0x600A)) == 1
+
+
+def test_parameters_that_were_not_heard_end_the_homing(drive: Drive) -> None:
+    drive.words.update(dict.fromkeys(range(0x600A, 0x6013), 0))
+    drive.breaks.append(("write 0x600A", NoReply("stage: no answer"), True))
+    with pytest.raises(NoReply):
+        stage_on(drive).home(drive.pause)
+    assert drive.writes(0x6002) == [(0x40,)]  # it was told to stop, and never to search

@@ -382,3 +382,17 @@ def test_a_question_that_comes_too_early_is_asked_again_and_an_order_is_not(wire
     with pytest.raises(Refused, match="AGAIN"):
         wire.chain.order(1, 1, "move abs 10")
     assert len(wire.sent) == 3
+
+
+@pytest.mark.parametrize("setting", [b"comm.checksum", b"maxspeed"])
+def test_a_setting_whose_answer_is_lost_is_read_back_and_written_once(wire, setting) -> None:
+    wire.damage = lambda said: b"" if b"set " + setting in wire.sent[-1] else said
+    assert wire.stage().identify().serial == "33001"
+    assert sum(b"set " + setting in line for line in wire.sent) == 1
+    assert wire.stage_device.writes == 2
+
+
+def test_a_setting_that_was_not_heard_is_told(wire) -> None:
+    wire.deaf = lambda line: b"set maxspeed" in line
+    with pytest.raises(Refused, match="maxspeed is 153600, 65536 was to be set"):
+        wire.stage().identify()

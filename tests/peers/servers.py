@@ -54,7 +54,8 @@ def stores(slave: Slave, pdu: bytes) -> None:
 class Moves:
     """A drive's 0x1003: after a start its bits drop late, stay down while it moves, come back."""
 
-    STALE_S, MOVING_S = 0.05, 0.25
+    # So long that a driver on a busy machine does not miss it.
+    STALE_S, MOVING_S = 0.05, 0.75
     ENABLED, RUNNING, COMMAND_DONE, PATH_DONE, HOMED = 0x02, 0x04, 0x10, 0x20, 0x40
 
     def __init__(self) -> None:
@@ -88,7 +89,7 @@ class Moves:
 class Turns:
     """An AZ drive's 0x007E: MOVE late after the start of a direct data operation, READY after."""
 
-    STALE_S, MOVING_S = 0.03, 0.2
+    STALE_S, MOVING_S = 0.03, 0.75
     HOME_END, READY, MOVE, IN_POSITION = 0x10, 0x20, 0x2000, 0x4000
 
     def __init__(self) -> None:

@@ -80,6 +80,27 @@ def test_a_scan_over_these_axes_lies_on_the_part(table, stage, shared, tmp_path)
         assert abs(last["target"] - last["start"]) < np.radians(31.0)
 
 
+@pytest.mark.parametrize(
+    ("table", "stage"), [("zaber", "zaber"), ("oriental", "leadshine"), ("oriental", "oriental")]
+)
+def test_a_line_that_garbles_every_eleventh_answer_costs_retries_and_no_scan(
+    table, stage, tmp_path
+) -> None:
+    plan = tmp_path / "plan.toml"
+    plan.write_text(write_plan(ring(FIRST_MM, FIRST_MM, STEP_MM, 6)))
+    with simulate(
+        "blade", seed=SEED, scale=20.0, cloud_width_mm=0.02, outliers=0.0, table=table,
+        stage=stage, faults="garbage=11",
+    ) as station:  # fmt: skip
+        with Station.open(station) as opened:
+            (sweep,) = scan(opened, plan)
+        tree, kinematics = truth(station), read_station(station.station).kinematics
+        turned = len(commanded(station, "table"))
+    off_mm, _ = tree.query(part_points(sweep, kinematics))
+    assert np.percentile(off_mm, 99) < WITHIN_MM
+    assert turned <= 3 + 6 + 1  # homing, the stops, back to 0: nothing was sent twice
+
+
 def test_the_command_names_the_families_in_its_help() -> None:
     told = subprocess.run(
         [sys.executable, "-m", "sim", "--help"], capture_output=True, text=True, check=True,
