@@ -35,7 +35,7 @@ from drivers.grbl.conversation import (
     motion_of,
 )
 from drivers.grbl.messages import Error, State, Status, error_name, error_remedy
-from drivers.grbl.reference import PinSearch, check_travel
+from drivers.grbl.reference import PinSearch, check_home, check_travel
 from drivers.grbl.settings import Homing, Settings
 from drivers.grbl.stopping import Rest, come_to_rest, reset_held
 from drivers.grbl.wire import FENCE, Realtime, feed_move, jog
@@ -114,6 +114,8 @@ class GrblAxis:
         if self._settings.homing is Homing.SWITCH:
             self._find_switch(pause)
         status = self._idle(pause)
+        if self._settings.homing is Homing.SWITCH:
+            check_home(self._talk, self._index(), self._name, self._machine(status))
         self._zero = self._machine(status) - self._settings.to_wire(self._settings.home_position)
         self._homed_at = self._talk.dialogue.upsets
         return self._axis_state(status)

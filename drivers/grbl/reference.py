@@ -24,6 +24,7 @@ _SOFT_LIMITS, _HARD_LIMITS, _HOMING, _HOMING_DIRECTION, _PULL_OFF, _LOCATE = 20,
 _TRAVEL: Final = 130
 _FORCED_ORIGIN: Final = 1 << 3  # of grblHAL's $22: home is 0, and travel goes one way from it
 _PRINTED: Final = 0.0005  # half of a report's last digit
+_AT_HOME: Final = 0.1  # of its unit: far above a step, far below a pull-off
 _STILL: Final = 2  # idle reports after which it has come to its end
 _PAST: Final = 2.0  # how many pull-offs it looks beyond
 
@@ -52,6 +53,22 @@ def check_travel(
         raise Refused(
             f"{settings.name}: {machine:.3f} {settings.unit} of the controller is outside its own"
             f" travel {window[0]:g} to {window[1]:g}; raise ${_TRAVEL + index}, or set $20=0"
+        )
+
+
+def check_home(talk: Conversation, index: int, name: str, machine: float) -> None:
+    """Refuse a homing after which the controller does not count from the switch.
+
+    Its line has no checksum, and `$H` with one bit bent is `$X`, which is answered ok as well. A
+    controller that homed stands a pull-off from an end of its travel, or calls that place 0.
+    """
+    if _PULL_OFF not in talk.dialogue.settings or _TRAVEL + index not in talk.dialogue.settings:
+        return
+    pull_off, travel = talk.setting(_PULL_OFF), abs(talk.setting(_TRAVEL + index))
+    if min(abs(abs(machine) - each) for each in (0.0, pull_off, travel - pull_off)) > _AT_HOME:
+        raise Refused(
+            f"{name}: homing was answered ok, yet the controller stands at {machine:.3f}, where no"
+            f" homing ends (pull-off {pull_off:g}, travel {travel:g}); check the cable, home again"
         )
 
 
