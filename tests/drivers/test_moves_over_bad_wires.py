@@ -1,6 +1,6 @@
 """A move that returns has arrived, whatever the wire does to its words and to its answers.
 
-Grbl's lines carry no checksum: a bent digit of a command is obeyed, and one of a report is believed.
+Grbl's lines carry no checksum: a bent digit of a command is obeyed, one of a report is believed.
 What holds all the same: a move is over only when the position read back is the one that was asked
 for, so that a wrong one needs two digits bent alike. The world says where the axis truly is.
 """
