@@ -20,8 +20,9 @@ from typing import Final
 
 from drivers.axis import AxisState, Identity, Kind, Motion, Pause
 from drivers.bus import Bus
-from drivers.endings import unless_done
+from drivers.endings import insist, stop_or_refuse, unless_done
 from drivers.errors import DriverError, FrameError, LinkLost, NoReply, Refused
+from drivers.long_words import value_of, words_of
 from drivers.oriental.registers import (
     STEPS_PER_GEAR,
     DirectData,
@@ -32,13 +33,10 @@ from drivers.oriental.registers import (
     alarm_name,
     alarm_remedy,
     direct_block,
-    value_of,
-    words_of,
 )
 from drivers.oriental.settings import Settings, Turning
 
 _POLL_S: Final = 0.02
-_STOP_TRIES: Final = 3
 _UNHOMED_JOG: Final = 1.0  # degree or mm
 _JOG_PART: Final = 0.2  # of the speed of moves
 _NOT_THERE: Final = (2, 3)  # Modbus exceptions: illegal address, illegal value
@@ -141,15 +139,7 @@ class AzAxis:
         NoReply, FrameError
             It was never acknowledged: press the emergency stop.
         """
-        for tries_left in reversed(range(_STOP_TRIES)):
-            try:
-                self._tell(Input.STOP)
-            except (NoReply, FrameError) as lost:
-                if not tries_left:
-                    lost.add_note(f"{self._name}: the stop was not acknowledged: emergency stop!")
-                    raise
-            else:
-                return
+        insist(lambda: self._tell(Input.STOP), self._name)
 
     def clear_alarm(self) -> None:
         """Reset the drive's alarm, once, because a person asked; forgets "homed"."""
@@ -230,10 +220,7 @@ class AzAxis:
 
     def _give_up(self) -> None:
         self._homing = False
-        try:
-            self.stop()
-        except DriverError as failed:
-            raise Refused(f"{self._name}: the stop failed: {failed}") from failed
+        stop_or_refuse(self.stop, self._name)
 
     # --- what it must be
 
