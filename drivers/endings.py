@@ -10,7 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from drivers.errors import DriverError
+from drivers.errors import DriverError, FrameError, NoReply, Refused
+
+_STOP_TRIES = 3
 
 
 @contextmanager
@@ -32,3 +34,30 @@ def at_last(ending: Callable[[], None]) -> Iterator[None]:
     with unless_done(ending):
         yield
     ending()
+
+
+def insist(stop: Callable[[], object], name: str) -> None:
+    """Say a stop until it is acknowledged, three times at most; `name` is the axis's.
+
+    Raises
+    ------
+    NoReply, FrameError
+        It was never acknowledged: press the emergency stop.
+    """
+    for tries_left in reversed(range(_STOP_TRIES)):
+        try:
+            stop()
+        except (NoReply, FrameError) as lost:
+            if not tries_left:
+                lost.add_note(f"{name}: the stop was not acknowledged: emergency stop!")
+                raise
+        else:
+            return
+
+
+def stop_or_refuse(stop: Callable[[], object], name: str) -> None:
+    """Stop an axis whose move was given up; `Refused` where even that fails."""
+    try:
+        stop()
+    except DriverError as failed:
+        raise Refused(f"{name}: the stop failed: {failed}") from failed

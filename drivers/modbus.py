@@ -107,7 +107,7 @@ class ModbusBus:
     slowest_reply_s : float
         No device of this bus answers later than so long after it was asked.
     silence_s : float
-            Around each RTU request and its reply; see `rtu_silence_s`.
+        Around each RTU request and its reply; see `rtu_silence_s`.
     baud : int
         Of an RTU line: how long its bytes take, for those who say a recipe.
     clock, sleep

@@ -54,10 +54,18 @@ class Interruption:
 
 @contextmanager
 def interruptible() -> Iterator[Interruption]:
-    """Note Ctrl-C while the block lasts, unless somebody else hears or ignores it."""
+    """Note Ctrl-C while the block lasts, unless somebody else hears or ignores it.
+
+    What compiled code makes of a key that was pressed leaves the block as KeyboardInterrupt, for
+    whoever catches that.
+    """
     interruption = Interruption()
     if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield interruption
         return
     with heeding({signal.SIGINT: interruption.hear}):
-        yield interruption
+        try:
+            yield interruption
+        except SystemError:
+            interruption.look()
+            raise

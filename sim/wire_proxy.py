@@ -34,6 +34,7 @@ from sim.wires import Pty, TcpListener, UdpSender
 
 _READ_BYTES = 65536
 _CONNECT_S = 3.0
+_WRITE_S = 1.0  # a device that takes no bytes for so long counts as lost
 
 
 class Upstream:
@@ -109,7 +110,7 @@ def lay(
         return f"serial://{pty.path}" + (f"?{told.query}" if told.query else "")
     if told.scheme == "tcp" and told.hostname and told.port:
         there, listener = (told.hostname, told.port), TcpListener()
-        _tcp(*there).receive(b"", 0.0)  # refuse now what will not answer later
+        _connection(*there).close()  # refuse now what will not answer later
         server.serve_tcp(
             listener, lambda: FaultyLine(_tcp(*there), faults, Carrier.TCP, plug, dice)
         )
@@ -128,22 +129,30 @@ def lay(
 def _serial(address: str) -> Upstream:
     told = urlsplit(address)
     wanted = {key: values[-1] for key, values in parse_qs(told.query).items()}
-    port = serial.Serial(
-        told.path,
-        baudrate=int(wanted.get("baud", "115200")),
-        parity=wanted.get("parity", "N")[0].upper(),
-        stopbits=float(wanted.get("stop", "1")),
-        timeout=0,
-        exclusive=True,
-    )
+    try:
+        port = serial.Serial(
+            told.path,
+            baudrate=int(wanted.get("baud", "115200")),
+            parity=wanted.get("parity", "N"),
+            stopbits=int(wanted.get("stop", "1")),
+            timeout=0,
+            write_timeout=_WRITE_S,
+            exclusive=True,
+        )
+    except ValueError as wrong:
+        raise ValueError(f"{address}: {wrong}; write baud=115200, parity=N, stop=1") from wrong
     return Upstream(lambda: bytes(port.read(_READ_BYTES)), port.write)
 
 
-def _tcp(host: str, port: int) -> Upstream:
+def _connection(host: str, port: int) -> socket.socket:
     try:
-        connection = socket.create_connection((host, port), timeout=_CONNECT_S)
+        return socket.create_connection((host, port), timeout=_CONNECT_S)
     except OSError as failure:
         raise OSError(f"tcp://{host}:{port}: no connection ({failure}); is it on?") from failure
+
+
+def _tcp(host: str, port: int) -> Upstream:
+    connection = _connection(host, port)
     connection.settimeout(0.0)
 
     def read() -> bytes:

@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 
 from drivers.axis import AxisState, Identity, Kind, Motion, Pause
 from drivers.bus import Bus
-from drivers.endings import unless_done
+from drivers.endings import insist, stop_or_refuse, unless_done
 from drivers.errors import DriverError, FrameError, LinkLost, NoReply, Refused
 from drivers.leadshine.registers import (
     DAMAGED_REQUEST,
@@ -35,15 +35,13 @@ from drivers.leadshine.registers import (
     alarm_remedy,
     homing_block,
     path_block,
-    value_of,
-    words_of,
 )
 from drivers.leadshine.settings import StageSettings
+from drivers.long_words import value_of, words_of
 from drivers.modbus_recipes import without_bits, write_register
 from drivers.recipes import Order, Recipe
 
 _POLL_S = 0.02
-_STOP_TRIES = 3
 _UNHOMED_JOG_MM = 1.0
 _FAMILY = "leadshine"
 _NOT_THERE = (2, 3)  # Modbus exceptions: illegal address, illegal value
@@ -164,15 +162,7 @@ class LeadshineStage:
         NoReply, FrameError
             It was never acknowledged: press the emergency stop.
         """
-        for tries_left in reversed(range(_STOP_TRIES)):
-            try:
-                self._write_one(Register.TRIGGER, Trigger.STOP)
-            except (NoReply, FrameError) as lost:
-                if not tries_left:
-                    lost.add_note(f"{self._name}: the stop was not acknowledged: emergency stop!")
-                    raise
-            else:
-                return
+        insist(lambda: self._write_one(Register.TRIGGER, Trigger.STOP), self._name)
 
     def recipes(self) -> tuple[Recipe, ...]:
         """Stop, and read the status until it no longer runs; see `drivers.recipes`."""
@@ -216,10 +206,7 @@ class LeadshineStage:
 
     def _give_up(self) -> None:
         self._homing = False
-        try:
-            self.stop()
-        except DriverError as failed:
-            raise Refused(f"{self._name}: the stop failed: {failed}") from failed
+        stop_or_refuse(self.stop, self._name)
 
     def _lift_limits(self) -> None:
         """The drive's own limits are in a count that homing is about to change."""

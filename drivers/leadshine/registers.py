@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from enum import Enum, IntEnum, IntFlag
 from types import MappingProxyType
 
+from drivers.long_words import words_of
+
 _WORD = 0x10000
 _SPEED_MAX_RPM = 0x7FFF  # the speed word is signed
 
@@ -148,19 +150,6 @@ def alarm_remedy(model: Model, code: int) -> str:
 def alarm_name(model: Model, code: int) -> str:
     """Code and name of an alarm, such as ``0x0E0 over-current``."""
     return f"0x{code:03X} {ALARMS[model].get(code, f'not in the table of {model.value}')}"
-
-
-def words_of(value: int) -> tuple[int, int]:
-    """Split a signed 32-bit number into its high and low word; ValueError if it is wider."""
-    if not -(1 << 31) <= value < 1 << 31:
-        raise ValueError(f"{value} does not fit into 32 bits")
-    return (value >> 16) % _WORD, value % _WORD
-
-
-def value_of(high: int, low: int) -> int:
-    """Join the high and low word of a signed 32-bit number."""
-    value = high << 16 | low
-    return value - (1 << 32) if high & 0x8000 else value
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,8 +14,8 @@ from drivers.leadshine.registers import (
     PathMode,
     homing_block,
     path_block,
-    words_of,
 )
+from drivers.long_words import words_of
 
 
 @dataclass(frozen=True, slots=True)

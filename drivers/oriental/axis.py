@@ -20,8 +20,9 @@ from typing import Final
 
 from drivers.axis import AxisState, Identity, Kind, Motion, Pause
 from drivers.bus import Bus
-from drivers.endings import unless_done
+from drivers.endings import insist, stop_or_refuse, unless_done
 from drivers.errors import DriverError, FrameError, LinkLost, NoReply, Refused
+from drivers.long_words import value_of, words_of
 from drivers.modbus_recipes import long_without_bits, write_registers
 from drivers.oriental.registers import (
     STEPS_PER_GEAR,
@@ -33,14 +34,11 @@ from drivers.oriental.registers import (
     alarm_name,
     alarm_remedy,
     direct_block,
-    value_of,
-    words_of,
 )
 from drivers.oriental.settings import Settings, Turning
 from drivers.recipes import Order, Recipe
 
 _POLL_S: Final = 0.02
-_STOP_TRIES: Final = 3
 _REST_S: Final = 1.0  # longer than a table brakes
 _UNHOMED_JOG: Final = 1.0  # degree or mm
 _JOG_PART: Final = 0.2  # of the speed of moves
@@ -144,15 +142,7 @@ class AzAxis:
         NoReply, FrameError
             It was never acknowledged: press the emergency stop.
         """
-        for tries_left in reversed(range(_STOP_TRIES)):
-            try:
-                self._tell(Input.STOP)
-            except (NoReply, FrameError) as lost:
-                if not tries_left:
-                    lost.add_note(f"{self._name}: the stop was not acknowledged: emergency stop!")
-                    raise
-            else:
-                return
+        insist(lambda: self._tell(Input.STOP), self._name)
 
     def recipes(self) -> tuple[Recipe, ...]:
         """Stop, and read the outputs until it no longer moves; see `drivers.recipes`."""
@@ -241,10 +231,7 @@ class AzAxis:
 
     def _give_up(self) -> None:
         self._homing = False
-        try:
-            self.stop()
-        except DriverError as failed:
-            raise Refused(f"{self._name}: the stop failed: {failed}") from failed
+        stop_or_refuse(self.stop, self._name)
 
     # --- what it must be
 

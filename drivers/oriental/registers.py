@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import Final
 
-_WORD: Final = 0x10000
+from drivers.long_words import words_of
 
 
 class Register(IntEnum):
@@ -132,19 +132,6 @@ def alarm_name(code: int) -> str:
 def alarm_remedy(code: int) -> str:
     """What an operator can do about an alarm."""
     return REMEDIES.get(code, "remove the cause, clear the alarm, home again")
-
-
-def words_of(value: int) -> tuple[int, int]:
-    """Split a signed 32-bit number into its high and low word; ValueError if it is wider."""
-    if not -(1 << 31) <= value < 1 << 31:
-        raise ValueError(f"{value} does not fit into 32 bits")
-    return (value >> 16) % _WORD, value % _WORD
-
-
-def value_of(high: int, low: int) -> int:
-    """Join the high and low word of a signed 32-bit number."""
-    value = high << 16 | low
-    return value - (1 << 32) if high & 0x8000 else value
 
 
 @dataclass(frozen=True, slots=True)

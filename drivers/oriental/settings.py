@@ -16,7 +16,8 @@ from typing import Final
 
 from drivers.axis import Kind
 from drivers.errors import Refused
-from drivers.oriental.registers import Operation, words_of
+from drivers.long_words import words_of
+from drivers.oriental.registers import Operation
 
 _RATES: Final = range(1, 1_000_000_001)
 _FASTEST_HZ: Final = 4_000_000

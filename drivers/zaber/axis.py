@@ -17,7 +17,7 @@ from contextlib import suppress
 from typing import Final
 
 from drivers.axis import AxisState, Identity, Kind, Motion, Pause
-from drivers.endings import unless_done
+from drivers.endings import stop_or_refuse, unless_done
 from drivers.errors import DriverError, FrameError, NoReply, Refused
 from drivers.recipes import Order, Recipe, Word
 from drivers.zaber.chain import Chain
@@ -192,10 +192,7 @@ class ZaberAxis:
 
     def _give_up(self) -> None:
         self._homing = False
-        try:
-            self.stop()
-        except DriverError as failed:
-            raise Refused(f"{self._name}: the stop failed: {failed}") from failed
+        stop_or_refuse(self.stop, self._name)
 
     # --- what it must be
 

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Final
 
 from drivers.axis import Pause
+from drivers.endings import insist
 from drivers.errors import FrameError, LinkLost, NoReply, Refused
 from drivers.links import ByteLink
 from drivers.zaber.names import reason_name
@@ -19,7 +20,6 @@ from drivers.zaber.wire import Asked, Dialogue, Reply
 REPLY_S: Final = 0.5  # a device answers within 20 ms; 24 of them in a chain pass it on
 _REST_S: Final = 5.0  # no reply comes later than that
 _STEP_S: Final = 0.005
-_STOP_TRIES: Final = 3
 _AGAIN: Final = "AGAIN"
 
 
@@ -82,15 +82,7 @@ class Chain:
         NoReply, FrameError, LinkLost
             It was never acknowledged: press the emergency stop.
         """
-        for tries_left in reversed(range(_STOP_TRIES)):
-            try:
-                self._exchange(device, axis, "stop", None)
-            except (NoReply, FrameError) as lost:
-                if not tries_left:
-                    lost.add_note(f"zaber {device}: stop not acknowledged: emergency stop!")
-                    raise
-            else:
-                return
+        insist(lambda: self._exchange(device, axis, "stop", None), f"zaber {device}")
 
     def _exchange(self, device: int, axis: int, command: str, pause: Pause | None) -> Reply:
         asked, data = self.dialogue.send(device, axis, command, self.clock())

@@ -40,9 +40,8 @@ from drivers.leadshine.registers import (
     alarm_remedy,
     homing_block,
     path_block,
-    value_of,
-    words_of,
 )
+from drivers.long_words import value_of, words_of
 from sim.leadshine import LeadshineDrive
 from sim.modbus import RtuServer
 from sim.motion import Limits

@@ -28,9 +28,8 @@ from drivers.grbl.messages import (
     message_bytes,
 )
 from drivers.grbl.wire import FENCE, CommandDecoder, Dialogue, Line, LineDecoder, Realtime
-from drivers.leadshine.registers import value_of, words_of
+from drivers.long_words import value_of, words_of
 from drivers.modbus import Framing, ModbusBus
-from drivers.oriental import registers as az
 from sim.leadshine import LeadshineDrive
 from sim.leadshine import registers as sim_leadshine
 from sim.modbus import RtuServer
@@ -384,7 +383,7 @@ for machine in (
 
 @given(st.integers(-(2**31), 2**31 - 1))
 def test_a_number_of_32_bits_survives_its_words_at_both_ends(value) -> None:
-    for near, far in ((words_of, sim_leadshine.joined), (az.words_of, sim_az.joined)):
-        assert far(*near(value)) == value
-    for near, far in ((value_of, sim_leadshine.split), (az.value_of, sim_az.halves)):
-        assert near(*far(value)) == value
+    for joined in (sim_leadshine.joined, sim_az.joined):
+        assert joined(*words_of(value)) == value
+    for split in (sim_leadshine.split, sim_az.halves):
+        assert value_of(*split(value)) == value

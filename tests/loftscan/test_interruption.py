@@ -41,6 +41,24 @@ def test_a_key_that_was_swallowed_is_found_at_the_next_pause_and_the_next_step()
         assert pauses == []
 
 
+def pressed_in_compiled_code() -> None:
+    """What numba's dispatcher gives when the key comes half-way."""
+    try:
+        signal.raise_signal(signal.SIGINT)
+    except KeyboardInterrupt as key:
+        raise SystemError("a result with an exception set") from key
+
+
+def test_what_compiled_code_makes_of_a_key_leaves_the_block_as_the_key() -> None:
+    with pytest.raises(KeyboardInterrupt), interruptible():
+        pressed_in_compiled_code()
+
+
+def test_a_system_error_without_a_key_stays_one() -> None:
+    with pytest.raises(SystemError, match="of its own"), interruptible():
+        raise SystemError("of its own")
+
+
 def test_without_a_key_whoever_waits_waits_and_who_tells_tells() -> None:
     pauses: list[float] = []
     steps: list[tuple[str, int, int]] = []

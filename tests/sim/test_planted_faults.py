@@ -23,6 +23,7 @@ from drivers.errors import DriverError
 from drivers.grbl import GrblAxis
 from drivers.grbl import Settings as GrblDriverSettings
 from drivers.leadshine import StageSettings
+from drivers.long_words import value_of, words_of
 from drivers.relay import Coil, OutputBit
 from tests.sim.judges import judge_profiler, judge_relay, judge_stage, judge_table
 
@@ -63,7 +64,7 @@ def stage_unsigned(patch: pytest.MonkeyPatch) -> None:
 
 def stage_word_order(patch: pytest.MonkeyPatch) -> None:
     """The low word first, on both ways."""
-    right = stage_registers.words_of, stage_registers.value_of
+    right = words_of, value_of
     patch.setattr(stage_registers, "words_of", lambda value: right[0](value)[::-1])
     patch.setattr(stage_module, "value_of", lambda low, high: right[1](high, low))
 

@@ -17,6 +17,7 @@ import drivers.oriental.registers as az_registers
 import drivers.zaber.settings as zaber_settings
 import drivers.zaber.wire as zaber_wire
 from drivers.errors import DriverError
+from drivers.long_words import value_of, words_of
 from drivers.oriental import AzAxis, Turning
 from drivers.oriental import Settings as AzSettings
 from drivers.zaber import Settings as ZaberSettings
@@ -132,7 +133,7 @@ def test_a_misreading_of_zaber_is_found_out(plant: Plant, monkeypatch) -> None:
 
 def az_word_order(patch: pytest.MonkeyPatch) -> None:
     """The low word first, on both ways."""
-    there, back = az_registers.words_of, az_registers.value_of
+    there, back = words_of, value_of
     for module in (az_registers, az_axis):
         patch.setattr(module, "words_of", lambda value: there(value)[::-1])
     patch.setattr(az_axis, "value_of", lambda low, high: back(high, low))
