@@ -33,6 +33,7 @@ from drivers.profiler import Profile, Reason
 from loftscan import Station, simulate
 from loftscan.simulation import Simulated
 from tests.loftscan.made_scans import damage, sweeps, write_scan
+from tests.loftscan.test_following import ENDS
 from tests.system.command_cases import run, start, succeeded
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -497,7 +498,8 @@ def test_a_damaged_slice_is_left_out_by_a_reconstruction(
     write_scan(place / "vase.scan")
     damage(place / "vase.scan", 6)
     ran = run("reconstruct", "vase.scan", "--out", "o", "--formats", "stl")
-    (warning,) = ran.stderr.splitlines()
+    warning, ends = ran.stderr.splitlines()
+    assert ends == f"warning: {ENDS}"
     assert_told(warning, ran.exit_code, "A damaged slice is left out")
 
 
@@ -510,7 +512,8 @@ def test_points_that_the_network_lost_are_said_by_a_reconstruction(
     kept = [replace(each, profiles=tuple(map(lossy, each.profiles))) for each in sweeps()]
     write_scan(place / "vase.scan", kept)
     ran = run("reconstruct", "vase.scan", "--out", "o", "--formats", "stl")
-    (warning,) = ran.stderr.splitlines()
+    warning, ends = ran.stderr.splitlines()
+    assert ends == f"warning: {ENDS}"
     assert_told(warning, ran.exit_code, "The network loses points")
     assert "(3.1%)" in warning  # 5 of 160
 

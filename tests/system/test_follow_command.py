@@ -15,7 +15,7 @@ import pytest
 from acquisition.scan_record import State
 from acquisition.scanfile import ScanFolder
 from tests.loftscan.made_scans import SLICES, damage, sweeps, write_scan
-from tests.loftscan.test_following import LAGS, OF_THE_RUN
+from tests.loftscan.test_following import ENDS, LAGS, OF_THE_RUN
 from tests.system.command_cases import complaint, contents, run, start, succeeded
 
 WRITER = Path(__file__).with_name("slow_writer.py")
@@ -71,7 +71,7 @@ def test_a_follower_makes_sections_while_the_scan_is_written(place: Path, source
         assert event["lag_s"] is None or 0.0 <= event["lag_s"] < DEADLINE_S
     stages = [event["stage"] for event in events if event["event"] == "progress"]
     assert list(dict.fromkeys(stages)) == ["comparison", "saving"]
-    assert done["warnings"] == []
+    assert done["warnings"] == [ENDS]
     # The writer could begin before the follower had come so far as to look.
     assert (set(done) >= LAGS) == any(event["lag_s"] is not None for event in sections)
     assert (place / "o/report.html").is_file()
@@ -109,10 +109,11 @@ def test_a_scanner_that_is_killed_leaves_a_result_of_what_it_kept(
     assert follower.returncode == 0, stderr
     done = json.loads(stdout.splitlines()[-1])
     assert (done["sections"], done["slices_missing"]) == (4, SLICES - 4)
-    died, missing = done["warnings"]
+    died, missing, ends = done["warnings"]
     assert died.startswith("live.scan: the program that scanned died before the end")
     assert "`loftscan scan STATION.toml PLAN.toml --out live.scan --resume`" in died
     assert missing.startswith(f"slices 4-{SLICES - 1} of the plan: not there")
+    assert ends == ENDS
 
 
 def test_ctrl_c_ends_a_follower_with_exit_code_3_and_leaves_nothing(
@@ -145,7 +146,8 @@ def test_a_damaged_slice_is_a_warning_with_the_remedy_not_an_error(
     write_scan(place / "vase.scan")
     damage(place / "vase.scan", 6)
     ran = succeeded(run("reconstruct", "vase.scan", "--out", "o", "--formats", "stl"))
-    (warning,) = ran.stderr.splitlines()
+    warning, ends = ran.stderr.splitlines()
+    assert ends == f"warning: {ENDS}"
     assert warning.startswith("warning: slice 6 damaged, so left out")
     assert "--resume` takes what is damaged again" in warning
     assert "9 of 9 slices became sections" in ran.stdout
