@@ -236,16 +236,30 @@ class GuardProcess:
 class AttendedLink:
     """A link whose reads tell the guard that their thread is alive; it says when it is lost."""
 
-    def __init__(self, link: ByteLink, guard: Guard, lost: Callable[[], object]) -> None:
-        self._link = link
+    def __init__(
+        self, opening: Callable[[], ByteLink], guard: Guard, lost: Callable[[], object]
+    ) -> None:
+        self._opening = opening
+        self._link = opening()
         self._guard = guard
         self._lost = lost
-        self.close = link.close
+        self.is_lost = False
 
     @property
     def address(self) -> str:
         """The address of the link inside."""
         return self._link.address
+
+    def close(self) -> None:
+        """Close; may be called again."""
+        self._link.close()
+
+    def reopen(self) -> None:
+        """Open it again in place of what is lost; sends nothing. Raises LinkLost."""
+        with suppress(LinkLost):
+            self._link.close()
+        self._link = self._opening()
+        self.is_lost = False
 
     def fileno(self) -> int | None:
         """The descriptor of the link inside."""
@@ -268,6 +282,7 @@ class AttendedLink:
         try:
             yield
         except LinkLost:
+            self.is_lost = True
             self._lost()
             raise
 

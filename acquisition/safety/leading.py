@@ -80,6 +80,8 @@ def arm(station: OpenStation, pause: Pause) -> None:
 def acknowledge(station: OpenStation) -> None:
     """Out of a latched state, because a person says that its cause is gone, and devices agree.
 
+    Links that were lost are opened again; nothing moves by it.
+
     Raises
     ------
     InputTripped, DriverError
@@ -89,6 +91,7 @@ def acknowledge(station: OpenStation) -> None:
     """
     safety = station.safety
     station.laser.off()
+    station.reopen_lost()
     safety.look_now()
     for axis in (station.table, station.stage):
         axis.state()

@@ -18,6 +18,7 @@ from acquisition.plan import Plan, StepAndShoot, ring
 from acquisition.poses import Sweep
 from acquisition.profilers import lost_profile
 from acquisition.safety.guarding import NoGuard
+from acquisition.safety.resting import Rest
 from acquisition.safety.states import Event, Rules
 from acquisition.safety.supervising import PermittedLaser, Supervisor
 from acquisition.scan import (
@@ -247,9 +248,13 @@ def rig(settings: Station = STATION, **bench: object) -> Rig:
     safety.tell(Event.SELF_TESTED)
     safety.tell(Event.CONNECT)
     safety.tell(Event.OFF_CONFIRMED)
+    permitted = PermittedLaser(laser, safety)
+    rest = Rest(permitted, safety)
+    for axis in (table, stage):
+        rest.add(axis.name, axis, None)
     station = OpenStation(
-        settings, table, stage, profiler, PermittedLaser(laser, safety), promise, made.clock,
-        made.sleep, Lease(TTL_S, made.clock), NoGuard(), {}, safety,
+        settings, table, stage, profiler, permitted, promise, made.clock,
+        made.sleep, Lease(TTL_S, made.clock), NoGuard(), {}, safety, rest,
     )  # fmt: skip
     return Rig(made, table, stage, profiler, laser, station)
 

@@ -29,11 +29,11 @@ import numpy as np
 
 from acquisition.lease import TTL_S
 from loftscan.simulation import Simulated
+from tests.campaigns.kinds import WATCHDOG_S
 from tests.campaigns.testimony import Event, Witnessed, lasted_at, lit, moving, over_after_s
 from tests.campaigns.victims import REPOSITORY
 
 OWN_WAY_S = 0.25
-WATCHDOG_S = 0.25 + 0.05
 HELD_S = 0.6
 _PATIENCE_S = 30.0
 _REST_S = 0.08

@@ -15,6 +15,7 @@ from tests.campaigns.victims import Instant, Victim
 STOP_S = 0.25
 KILLED_S = 0.07  # until the guard's word: the owner's end, and no silence on a network
 HUNG_S = 0.19  # the lease before that
+WATCHDOG_S = 0.25 + 0.05  # the block's own, and 50 ms
 STOPPED_S = 0.6  # how long a program stands still: more than twice any lease
 
 
