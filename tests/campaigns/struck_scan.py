@@ -157,7 +157,7 @@ class StruckScan:
         kept = frozenset(self._kept)
         return Victim(
             process, self._out, said, complained, kept, stops, len(missing), witnessed,
-            self._station.pid,
+            self._station.pid, self._station.unplug,
         )  # fmt: skip
 
     def _judged(
