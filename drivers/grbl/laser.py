@@ -48,11 +48,15 @@ class GrblLaser:
         Refused
             It is in laser mode, or its fastest spindle is 0.
         """
+        return self._talk.insist(self._introduced)
+
+    def _introduced(self) -> Identity:
         self._talk.drain()
         self._talk.reset(None, within_s=BANNER_S)
         self._talk.until(lambda: False, QUIET_S, None)
         self._talk.dialogue.reset_asked = False
         self._talk.status(None)
+        self._talk.dialogue.settings.clear()
         for line in ("$X", "$I", "$$"):
             self._talk.exchange(line, None)
         if self._talk.setting(32):
