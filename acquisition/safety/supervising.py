@@ -14,6 +14,7 @@ way out that every error takes (`acquisition.opening`), in its order, whatever f
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Protocol
 
@@ -61,12 +62,17 @@ class Supervisor:
         """Where the station stands."""
         return self._now.state
 
-    def tell(self, event: Event) -> Actions:
-        """Tell what has happened; what is to be done about it."""
-        self._now, actions = step(self._now, event, self._clock(), self.rules)
+    def tell(self, event: Event, *, since_s: float | None = None) -> Actions:
+        """Tell what has happened, now or since a time; what is to be done about it."""
+        time_s = self._clock() if since_s is None else since_s
+        self._now, actions = step(self._now, event, time_s, self.rules)
         if Action.ANNOUNCE in actions and self.rules.warning_s > 0.0:
             self.announce(f"laser: it may be lit in {self.rules.warning_s:g} s")
         return actions
+
+    def attend(self, *, attended: bool) -> None:
+        """Say whether somebody stays at the station: then a scan pauses when that one leaves."""
+        self.rules = replace(self.rules, attended=attended)
 
     def ask(self, event: Event) -> None:
         """Ask for something.

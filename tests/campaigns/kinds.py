@@ -123,7 +123,7 @@ KINDS = (
     Kind("script SIGINT", signalled(signal.SIGINT), (-signal.SIGINT,), by_script=True),
     Kind("unplugged", _unplugged, (4,), laser_s=None, axes_s=None),
     Kind("two unplugged", _two_unplugged, (4,), laser_s=None, axes_s=None),
-    Kind("stdout closed", _unread, (1,), laser_s=0.0, counts_from_end=True, piped=True),
+    Kind("stdout closed", _unread, (), laser_s=0.0, axes_s=0.0, counts_from_end=True, piped=True),
     Kind("SIGKILL", signalled(signal.SIGKILL), (-signal.SIGKILL,), laser_s=KILLED_S, dies=True),
     Kind("SIGSTOP", held(STOPPED_S), (4, -signal.SIGKILL), laser_s=HUNG_S, axes_s=None, dies=True),
 )  # fmt: skip
