@@ -22,7 +22,7 @@ from acquisition.lease import TTL_S, Lease
 from acquisition.ports import check_ports
 from acquisition.profilers import profiler_maker
 from acquisition.safety.guarding import AttendedLink, Guard, first_word_s, guarded
-from acquisition.safety.places import Place, places_of
+from acquisition.safety.places import Place, lock_all, places_of
 from acquisition.safety.resting import Line, Rest
 from acquisition.safety.states import Event, Rules, State
 from acquisition.safety.supervising import PermittedLaser, Supervisor
@@ -197,6 +197,7 @@ class _Wires:
         self._roles = roles
         self._opened: dict[_Address, AttendedLink] = {}
         self._lines: dict[_Address, Line] = {}
+        self._places: dict[_Address, list[Place]] = {}  # as they were when it was opened
         self._recipes: dict[_Address, tuple[Recipe, ...]] = {}
         self._buses: dict[_Address, ModbusBus] = {}
         self._chains: dict[_Address, zaber.Chain] = {}
@@ -211,6 +212,7 @@ class _Wires:
         link = self.brief_link(address)
         self._endings.enter_context(at_last(link.close))
         self._opened[_place(address)] = link
+        self._places[_place(address)] = places_of([address])
         return link
 
     def brief_link(self, address: str) -> AttendedLink:
@@ -248,6 +250,16 @@ class _Wires:
         if self._roles.get(place) == "laser":  # which the guard could not reach either
             self._guard.renew(TTL_S + LONGEST_CONNECT_S)
         self._guard.drop(self._opened[place])
+        self._move_lock(place)
+
+    def _move_lock(self, place: _Address) -> None:
+        """What is plugged in again may have another name, and the old one is somebody else's."""
+        before, now = self._places[place], places_of([self._opened[place].address])
+        if now != before:
+            self._guard.unlock([str(each.file) for each in before])
+            self._places[place] = []
+            lock_all(now, self._guard.lock)
+            self._places[place] = now
 
     def _take_up(self, place: _Address) -> None:
         if place in self._buses:

@@ -6,12 +6,14 @@ laser and the axes truly did. Off after a loss is this program's: the relays her
 
 from __future__ import annotations
 
+import os
 import time
 from threading import Timer
 
 import pytest
 
 from acquisition.errors import AcquisitionError
+from acquisition.safety.places import places_of
 from acquisition.safety.resting import REOPEN_S
 from acquisition.safety.states import State
 from drivers.errors import DriverError, LinkLost, Refused
@@ -138,3 +140,20 @@ def test_a_table_whose_cable_was_pulled_amid_a_move_is_stopped_when_it_is_back(t
         assert not at.stop().table.homed
         at.home()
         assert at.jog(table_deg=30.0).table_deg == pytest.approx(30.0, abs=0.1)
+
+
+def test_a_port_that_comes_back_by_another_name_leaves_its_old_one_to_others() -> None:
+    with (
+        simulate("cylinder", seed=3, faults="away-ms=300") as simulated,
+        Station.open(simulated) as at,
+    ):
+        (before,) = places_of([at.settings.stage.address])
+        at.home()
+        simulated.unplug("stage")
+        with pytest.raises(LinkLost):  # noqa: PT012
+            for number in range(20):
+                at.jog(stage_mm=5.0 + number % 2)
+        (now,) = places_of([at.settings.stage.address])
+        assert now.file != before.file  # another pty
+        assert now.file.read_text() == f"{os.getpid()}\n"
+        assert not before.file.exists()
