@@ -36,6 +36,7 @@ from drivers.sick.wire import Size, memory_read
 from drivers.zaber import Chain
 from sim.device import Device
 from sim.faulty_wire import FaultyLine, Plug
+from sim.lasers import Slow as PacedLine
 from sim.modbus import RtuServer, TcpSession
 from sim.serving import Ending, Server
 from sim.wire_faults import Carrier, WireFaults
@@ -108,10 +109,10 @@ def _memory(link: ByteLink) -> Callable[[random.Random], bool]:
     def ask(dice: random.Random) -> bool:
         # As the driver reads a profile: no answer is as long as those of the last two questions.
         place = dice.randrange(60_000)
-        count = dice.choice([size for size in range(1, 9) if size not in before])
+        count = dice.choice([size for size in range(120, 127) if size not in before])
         before.append(count)
-        said = line.ask(Question(memory_read(place, count, Size.WORD), 2 * count))
-        return said == b"".join(number(place + k).to_bytes(2, "big") for k in range(count))
+        said = line.ask(Question(memory_read(place, count, Size.POINT), 4 * count))
+        return said == b"".join(number(place + k).to_bytes(2, "big") for k in range(2 * count))
 
     return ask
 
@@ -134,7 +135,8 @@ PROTOCOLS = {
         0.12, lambda: TcpSession({1: NumberedUnit()}), _registers(Framing.TCP), Carrier.TCP
     ),
     "zaber": Protocol(0.6, lambda: ZaberChain({1: NumberedStage()}), _settings),  # type: ignore[dict-item]
-    "sick": Protocol(0.12, Memory, _memory),
+    # Paced: the lengths of its answers tell them apart for as long as two of them take.
+    "sick": Protocol(0.12, lambda: PacedLine(Memory(), _BAUD), _memory),
     "scip": Protocol(0.15, NumberedScanner, _ranges),
 }
 
