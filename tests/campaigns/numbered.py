@@ -82,7 +82,10 @@ class Memory(SickProfiler):
 
 
 class NumberedScanner:
-    """A scanner that answers GD with a number for every step, and nothing else."""
+    """A scanner that answers GD with a number for every step, and nothing else.
+
+    Laxer than the specification: it takes any string behind the command, half another among it.
+    """
 
     def __init__(self) -> None:
         self._line = b""
