@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: help setup demo test check paper bench safety clean
+.PHONY: help setup demo test check paper bench safety soak wires clean
 
 help:
 	@echo "make setup   environment in $(VENV) with every extra, system libraries where it may"
@@ -14,6 +14,8 @@ help:
 	@echo "make check   ruff, format, mypy, import contracts"
 	@echo "make paper   reproduce the paper's figures into docs/paper/"
 	@echo "make bench   tables of speed, beside the peers"
+	@echo "make soak    work a simulated station over bad wires for two of its hours (six minutes); nothing may grow or hang"
+	@echo "make wires   ten thousand questions in every protocol over bad ptys and TCP connections (an hour)"
 	@echo "make safety  end programs in every way at random instants; how long laser and axes took (an hour)"
 
 setup: $(READY)
@@ -43,6 +45,12 @@ bench: setup
 
 safety: setup
 	$(BIN)/python -m tests.campaigns.stopping
+
+soak: setup
+	$(BIN)/python -m tests.campaigns.soak
+
+wires: setup
+	$(BIN)/python -m tests.campaigns.questions
 
 clean:
 	rm -rf $(VENV) demo-out demo-out.scan build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

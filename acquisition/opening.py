@@ -3,7 +3,7 @@
 ::
 
     way in    guard  >  laser: link, off, its watchdog  >  table  >  stage  >  profiler
-    way out   laser off  <  stage stops  <  table stops  <  laser off again  <  links  <  guard
+    way out   laser off  >  stage stops  >  table stops  >  laser off again  >  links  >  guard
 
 The first bytes to the laser are off. Every way out is gone to its end: what fails there does not
 keep the rest from being done, the first error is the one that is raised, the others are its notes.
@@ -22,7 +22,8 @@ from acquisition.lease import TTL_S, Lease
 from acquisition.ports import check_ports
 from acquisition.profilers import profiler_maker
 from acquisition.safety.guarding import AttendedLink, Guard, first_word_s, guarded
-from acquisition.safety.places import Place, places_of
+from acquisition.safety.places import Place, lock_all, places_of
+from acquisition.safety.resting import Line, Rest
 from acquisition.safety.states import Event, Rules, State
 from acquisition.safety.supervising import PermittedLaser, Supervisor
 from acquisition.safety.switches import switch_of
@@ -36,6 +37,7 @@ from drivers.links import ByteLink, open_link
 from drivers.modbus import Framing, ModbusBus, rtu_silence_s
 from drivers.profiler import Profiler
 from drivers.recipes import Recipe, Recited
+from drivers.tcp_link import LONGEST_CONNECT_S
 
 Clock = Callable[[], float]
 Sleep = Callable[[float], None]
@@ -62,6 +64,8 @@ class OpenStation:
     guard: Guard
     guarded: Mapping[str, float]  # by device: s from a death or a hang to the guard's word to it
     safety: Supervisor
+    rest: Rest
+    reopen_lost: Callable[[], None] = lambda: None  # every link; moves nothing, raises LinkLost
 
 
 @contextmanager
@@ -100,40 +104,39 @@ def open_station(
     with ExitStack() as endings:
         endings.callback(safety.tell, Event.CLOSE)
         guard = endings.enter_context(guarding(places_of(_addresses(station)), sleep))
-        wires = _Wires(links, clock, sleep, endings, guard, safety, _roles(station))
+        doors = endings.enter_context(ExitStack())
+        wires = _Wires(links, clock, sleep, doors, guard, safety, _roles(station))
         switch, inputs = switch_of(station.laser, wires)
-        laser = PermittedLaser(switch, safety)
+        laser = PermittedLaser(switch, safety, wires.line(getattr(station.laser, "address", "")))
+        rest = Rest(laser, safety)
         endings.enter_context(at_last(laser.off))
+        endings.enter_context(at_last(rest.come))
         laser.off()
         guarantee = laser.guarantee()
         wires.hand_over(switch, getattr(station.laser, "address", ""))
         safety.watch(inputs)
         table = make_table(wires)
-        endings.enter_context(at_last(table.stop))
+        rest.add("table", table, wires.line(station.table.address))
         wires.hand_over(table, station.table.address)
         stage = make_stage(wires)
-        endings.enter_context(at_last(stage.stop))
+        rest.add("stage", stage, wires.line(station.stage.address))
         wires.hand_over(stage, station.stage.address)
         profiler = make_profiler(wires)
         wires.hand_over(profiler, station.profiler.address)
-        endings.enter_context(at_last(laser.off))  # before the axes, which may take their time
         lease = Lease(TTL_S, clock, guard)
         endings.enter_context(_telling(safety))  # the first to hear, and nothing is lit after
         yield OpenStation(
             station, table, stage, profiler, laser, guarantee, clock, wires.sleep, lease, guard,
-            wires.guarded, safety,
+            wires.guarded, safety, rest, wires.reopen_lost,
         )  # fmt: skip
 
 
 @contextmanager
 def at_rest_unless_done(station: OpenStation) -> Iterator[None]:
     """Laser off, then the axes stopped, if the block is left by anything but its end."""
-    table, stage, laser = station.table, station.stage, station.laser
     with (
         _standing_after(station.safety),
-        unless_done(table.stop),
-        unless_done(stage.stop),
-        unless_done(laser.off),
+        unless_done(station.rest.come),
         _telling(station.safety),
     ):
         yield
@@ -192,7 +195,9 @@ class _Wires:
         self._guard = guard
         self._safety = safety
         self._roles = roles
-        self._opened: dict[_Address, ByteLink] = {}
+        self._opened: dict[_Address, AttendedLink] = {}
+        self._lines: dict[_Address, Line] = {}
+        self._places: dict[_Address, list[Place]] = {}  # as they were when it was opened
         self._recipes: dict[_Address, tuple[Recipe, ...]] = {}
         self._buses: dict[_Address, ModbusBus] = {}
         self._chains: dict[_Address, zaber.Chain] = {}
@@ -207,6 +212,7 @@ class _Wires:
         link = self.brief_link(address)
         self._endings.enter_context(at_last(link.close))
         self._opened[_place(address)] = link
+        self._places[_place(address)] = places_of([address])
         return link
 
     def brief_link(self, address: str) -> AttendedLink:
@@ -216,7 +222,49 @@ class _Wires:
         def lost() -> None:
             self._safety.lost_role = role
 
-        return AttendedLink(self._links(address), self._guard, lost)
+        return AttendedLink(lambda: self._links(address), self._guard, lost)
+
+    def line(self, address: str) -> Line | None:
+        """The link that is open at an address, as one that can be opened again."""
+        place = _place(address) if address else None
+        if place not in self._opened:
+            return None
+        if place not in self._lines:
+            self._lines[place] = Line(
+                self._opened[place],
+                before=lambda: self._let_go(place),
+                after=lambda: self._take_up(place),
+                clock=self.clock,
+                sleep=self.sleep,
+            )
+        return self._lines[place]
+
+    def reopen_lost(self) -> None:
+        """Open every lost link again."""
+        for address in [link.address for link in self._opened.values() if link.is_lost]:
+            if (line := self.line(address)) is not None:
+                line.say_again(lambda: None)
+
+    def _let_go(self, place: _Address) -> None:
+        """A port opens again only when nobody else has it open; connecting may take its time."""
+        if self._roles.get(place) == "laser":  # which the guard could not reach either
+            self._guard.renew(TTL_S + LONGEST_CONNECT_S)
+        self._guard.drop(self._opened[place])
+        self._move_lock(place)
+
+    def _move_lock(self, place: _Address) -> None:
+        """What is plugged in again may have another name, and the old one is somebody else's."""
+        before, now = self._places[place], places_of([self._opened[place].address])
+        if now != before:
+            self._guard.unlock([str(each.file) for each in before])
+            self._places[place] = []
+            lock_all(now, self._guard.lock)
+            self._places[place] = now
+
+    def _take_up(self, place: _Address) -> None:
+        if place in self._buses:
+            self._buses[place].begin_anew()
+        self._guard.hold(self._opened[place], self._recipes.get(place, ()))
 
     def chain(self, address: str) -> zaber.Chain:
         """A chain of Zaber devices; both axes may be on one."""

@@ -10,7 +10,9 @@ One stop of the table::
 
 Everything waits in steps of 50 ms at most, and looks for the operator's stop in each of them.
 Between slices nothing moves, the laser is off and the table is back at 0: there, and only there,
-the generator rests, so that closing it late leaves nothing on. The laser's own way out is
+the generator rests, so that closing it late leaves nothing on. Whoever takes a sweep for long, such
+as a slow disk, holds the scan up there: that is a pause, after a minute of which the laser is
+announced anew. The laser's own way out is
 `open_station`, whose block stands around the loop that takes the sweeps.
 
 An axis that is not homed is homed first. Not so a table whose zero is software when a scan is
@@ -31,7 +33,7 @@ from acquisition.opening import OpenStation, at_rest_unless_done
 from acquisition.plan import Plan, Target, check_plan, targets
 from acquisition.poses import Pose, Sweep
 from acquisition.profilers import lost_profile
-from acquisition.safety.leading import arm, begin_homing, homed, known
+from acquisition.safety.leading import arm, begin_homing, homed, known, resume
 from acquisition.safety.states import Event, State
 from acquisition.station import GrblTable, TableZero
 from drivers.axis import Axis, AxisState, Motion
@@ -44,6 +46,7 @@ _LOOK_S = LONGEST_WAIT_S / 2  # half, because switching on again takes its time,
 _PATIENCE_S = 0.25  # for a profile, beside three periods of the sensor
 _TAKE_UP_MM = 0.5  # more than any screw's backlash
 _BRAKING_S = 5.0
+_SLOW_S = 1.0  # whoever takes a sweep for longer holds the scan up: it is paused since then
 _UNDER_WAY = (Motion.MOVING, Motion.HOMING)
 
 
@@ -60,6 +63,7 @@ class StopRequest:
 
     def __init__(self) -> None:
         self._wish = Wish.GO_ON
+        self.left_alone = False  # who watched has left: attended, that pauses at the border
 
     @property
     def wish(self) -> Wish:
@@ -73,6 +77,10 @@ class StopRequest:
     def now(self, *_signal: object) -> None:
         """Stop now. A handler for SIGTERM and SIGHUP as it is."""
         self._wish = Wish.STOP
+
+    def leave(self) -> None:
+        """Who watched has left; a scan that is attended pauses at the border, another goes on."""
+        self.left_alone = True
 
     def look(self) -> None:
         """Raise `Stopped` if it is to stop now."""
@@ -164,21 +172,33 @@ class _Scan:
         safety = self._station.safety
         try:
             for done, target in enumerate(wanted):
-                if self._stop.wish is Wish.PAUSE:
+                if self._stop.wish is Wish.PAUSE or self._is_left_alone():
                     return
                 with at_rest_unless_done(self._station):
                     self._look()
                     if not done:
                         self._prepare(resumed=len(wanted) < self._plan.ring.count)
+                    elif safety.state is State.PAUSED:
+                        resume(self._station, self._pause)
                     sweep = self._sweep(target, done, len(wanted))
                 if done == len(wanted) - 1:
                     # What this asks for was done with the slice: dark, read back, and standing.
                     safety.tell(Event.COMPLETE)
                     safety.tell(Event.STANDS)
+                given_s = self._station.clock()
                 yield sweep
+                if self._station.clock() - given_s > _SLOW_S and safety.state is State.SCANNING:
+                    safety.tell(Event.BACK_PRESSURE, since_s=given_s)
         finally:
             if safety.state is State.SCANNING:
                 safety.ask(Event.PAUSE)
+
+    def _is_left_alone(self) -> bool:
+        """Whether a person was to be there and is not any more."""
+        if not self._stop.left_alone:
+            return False
+        self._station.safety.tell(Event.CONTROL_LOST)
+        return self._station.safety.rules.attended
 
     def _look(self) -> None:
         """Raise what ends the scan: the operator's wish, or the hardware's safety chain."""

@@ -19,6 +19,11 @@ class Bus(Protocol):
         """The address of the link, for messages."""
         ...
 
+    @property
+    def losses(self) -> int:
+        """How often the link was lost: whoever was homed before one is not any more."""
+        ...
+
     def framed(self, device_id: int, pdu: bytes) -> bytes:
         """A frame for somebody else to send or to expect, of a PDU."""
         ...

@@ -24,7 +24,8 @@ def unless_done(ending: Callable[[], None]) -> Iterator[None]:
         try:
             ending()
         except DriverError as failed:
-            cause.add_note(str(failed))
+            for each in (str(failed), *getattr(failed, "__notes__", ())):
+                cause.add_note(each)
         raise
 
 

@@ -51,6 +51,8 @@ class LaserSwitch(Protocol):
         ------
         Refused
             The output did not follow: press the emergency stop.
+        LinkLost
+            Nobody heard it: open the link again, which moves and lights nothing, and say it again.
         """
         ...
 

@@ -24,7 +24,8 @@ import math
 import struct
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import Enum
 from statistics import median
@@ -40,7 +41,7 @@ from pymodbus.pdu.register_message import (
     WriteSingleRegisterRequest,
 )
 
-from drivers.errors import FrameError, NoReply, Refused
+from drivers.errors import FrameError, LinkLost, NoReply, Refused
 from drivers.links import ByteLink
 from drivers.modbus_wire import (
     EXCEPTIONS,
@@ -152,6 +153,18 @@ class ModbusBus:
             self._quarantine()
         self._transaction = 0
         self._tally = BusTally()
+        self._losses = 0
+
+    @property
+    def losses(self) -> int:
+        """How often the link was lost: whoever was homed before one is not any more."""
+        return self._losses
+
+    def begin_anew(self) -> None:
+        """The link was opened again: a new TCP connection brings nothing that is old."""
+        self._silent_since_s = -math.inf
+        if self._framing is Framing.TCP:
+            self._speak_again_at_s = self._clock()
 
     @property
     def address(self) -> str:
@@ -273,13 +286,22 @@ class ModbusBus:
 
     def _listen(self, wait_s: float) -> bytes:
         """What has arrived, after waiting for it; remembered with the last question sent."""
-        came = self._link.read(wait_s)
+        with self._counting_losses():
+            came = self._link.read(wait_s)
         if came:
             before = b""
             if self._heard and self._heard[-1][1] == self._asked:  # the rest of it, perhaps
                 before = self._heard.pop()[2]
             self._heard.append((self._clock(), self._asked, (before + came)[-_LONGEST_HEARD:]))
         return came
+
+    @contextmanager
+    def _counting_losses(self) -> Iterator[None]:
+        try:
+            yield
+        except LinkLost:
+            self._losses += 1
+            raise
 
     def _write(self, request: ModbusPDU, echoed: bytes, wish: str) -> None:
         head = bytes([request.function_code]) + echoed
@@ -325,7 +347,8 @@ class ModbusBus:
         # In doubt until answered: an interrupt, too, may leave a reply on its way.
         self._speak_again_at_s = deadline_s + self._slowest_reply_s
         self._count("requests")
-        self._link.write(frame)
+        with self._counting_losses():
+            self._link.write(frame)
         received = b""
         while (left_s := deadline_s - self._clock()) > 0:
             received += self._listen(min(left_s, _LONGEST_WAIT_S))

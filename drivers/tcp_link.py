@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from drivers.addresses import TcpAddress
 from drivers.errors import LinkLost
 
+LONGEST_CONNECT_S = 3.0
 _READ_BYTES = 65536
 # Seconds idle before the first probe, between probes, and probes before giving up: 11 s in all.
 _KEEPALIVE = {"TCP_KEEPIDLE": 5, "TCP_KEEPINTVL": 2, "TCP_KEEPCNT": 3}
@@ -28,7 +29,7 @@ class TcpLink:
     """
 
     def __init__(
-        self, address: TcpAddress, *, connect_s: float = 3.0, write_s: float = 1.0
+        self, address: TcpAddress, *, connect_s: float = LONGEST_CONNECT_S, write_s: float = 1.0
     ) -> None:
         self._address = address
         self._lost = ""

@@ -7,10 +7,12 @@ on the disk, and at last ``done`` or ``paused``.
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
+from pathlib import Path
 from typing import TextIO
 
 import numpy as np
@@ -172,7 +174,7 @@ class ScanTeller:
     def end_line(self) -> None:
         """Leave a rewritten line, so that what follows begins a line of its own."""
         if self._line:
-            print(file=self._stream)
+            self._write("\n")
             self._line = ""
 
     def _count_lost(self, sweep: Sweep) -> None:
@@ -202,15 +204,25 @@ class ScanTeller:
 
     def _rewrite(self, text: str) -> None:
         padded = text[:_WIDTH].ljust(len(self._line))
-        print(f"\r{padded}", end="", file=self._stream, flush=True)
+        self._write(f"\r{padded}")
         self._line = text[:_WIDTH]
 
     def _print(self, text: str) -> None:
         self.end_line()
-        print(text, file=self._stream, flush=True)
+        self._write(f"{text}\n")
 
     def _say(self, **fields: object) -> None:
-        print(json.dumps(fields), file=self._stream, flush=True)
+        self._write(json.dumps(fields) + "\n")
+
+    def _write(self, text: str) -> None:
+        """Nobody who reads is no error: the scan pauses at the border, or goes on unattended."""
+        try:
+            self._stream.write(text)
+            self._stream.flush()
+        except BrokenPipeError:
+            self._stop.leave()
+            with Path(os.devnull).open("wb") as nowhere:  # what is still buffered goes there
+                os.dup2(nowhere.fileno(), self._stream.fileno())
 
 
 def in_time(seconds: float) -> str:

@@ -121,6 +121,7 @@ def scan(
     name = "plan" if isinstance(plan, Plan) else str(plan)
     check_plan(wanted, station.settings, name)
     must_be_attended(station.devices.guarantee, attendance)
+    station.devices.safety.attend(attended=attendance is Attendance.PRESENT)
     stop = StopRequest()
 
     def taken(missing: tuple[int, ...] | None) -> Generator[Sweep]:

@@ -52,6 +52,13 @@ class Simulated:
         """It arrives again."""
         self._do("plug cable")
 
+    def unplug(self, *wires: Literal["table", "stage", "profiler", "relay"]) -> None:
+        """Pull these cables together: the links are lost; they are back by themselves.
+
+        After half a second, or the time that ``faults="away-ms=MS"`` says.
+        """
+        self._do(f"unplug {' '.join(wires)}")
+
     def _do(self, what: str) -> None:
         hands = _pipe(self.hands)
         hands.write(f"{what}\n")

@@ -28,7 +28,6 @@ from acquisition.scan import StopRequest
 from acquisition.station import NoLaserSwitch, read_station
 from acquisition.station import Station as Settings
 from drivers.axis import Axis, AxisState, Motion, Pause
-from drivers.endings import at_last
 from drivers.errors import NoReply, Refused
 from drivers.grbl import GrblAxis
 from drivers.links import ByteLink, open_link
@@ -188,8 +187,7 @@ class Station:
         at = self._devices
         at.safety.tell(Event.STOP)
         with self._attention.at_work(StopRequest()):
-            with at_last(at.table.stop), at_last(at.stage.stop), at_last(at.laser.off):
-                pass  # the laser first: endings are done in reverse
+            at.rest.come()
             found = self._standing()
             if at.safety.state is State.STOPPING:
                 at.safety.tell(Event.STANDS)

@@ -21,7 +21,7 @@ from typing import NoReturn
 
 from sim.axes import StageFamily, TableFamily
 from sim.cabling import Cabling
-from sim.faults import FAULTS, parse_faults
+from sim.faults import FAULTS, Speaker, parse_faults
 from sim.lasers import LaserWiring
 from sim.parts import PARTS, find_part
 from sim.profilers import ProfilerFamily
@@ -99,7 +99,7 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
             files.plan.write_text(plan, encoding="utf-8")
             files.station.write_text(station_toml(layout, addresses, part.name), encoding="utf-8")
             if wanted.while_stdin_open:
-                _end_with_stdin(server, ending, devices)
+                _end_with_stdin(server, ending, devices, cabling)
             _tell(files, as_json=wanted.json)
             server.run(ending)
 
@@ -114,11 +114,12 @@ def _files(wanted: argparse.Namespace, folder: Path) -> _Files:
     return _Files(station, out / "plan.toml", out / "truth.ply", witness)
 
 
-def _end_with_stdin(server: Server, ending: Ending, devices: Devices) -> None:
+def _end_with_stdin(server: Server, ending: Ending, devices: Devices, cabling: Cabling) -> None:
     """End with whoever holds the pipe.
 
     On it ``press estop``, ``release estop``, and the same of interlock and key, are done; and
-    ``pull cable``, ``plug cable``: the one of what switches the laser.
+    ``pull cable``, ``plug cable``: the one of what switches the laser, mute then and not lost.
+    ``unplug table stage`` pulls the cables of these together; they are put back by themselves.
     """
     whole = devices.laser_cable.answers
 
@@ -127,6 +128,9 @@ def _end_with_stdin(server: Server, ending: Ending, devices: Devices) -> None:
         contact = Contact.__members__.get(name.upper())
         if contact is not None and verb in ("press", "release"):
             (devices.relay.press if verb == "press" else devices.relay.release)(contact)
+        elif verb == "unplug":
+            wires = [speaker for speaker in Speaker if speaker.value in name.split()]
+            cabling.pull(*wires, now_s=time.monotonic())
         elif name == "cable" and verb in ("pull", "plug"):
             devices.laser_cable.answers = 0 if verb == "pull" else whole
 

@@ -40,6 +40,11 @@ class Cabling:
         """Pull a cable, any one."""
         self._pulling.choice(list(self._plugs.values())).pull(now_s)
 
+    def pull(self, *speakers: Speaker, now_s: float) -> None:
+        """Pull these cables together."""
+        for plug in {self._plugs[speaker] for speaker in speakers}:
+            plug.pull(now_s)
+
     def serial(self, device: Device, *speakers: Speaker) -> Device:
         """Lay a serial line to a device, or to several that share it: one cable."""
         for speaker in speakers:

@@ -88,6 +88,11 @@ class Slow:
         self._outward: deque[tuple[float, bytes]] = deque()
         self._free_s = [-math.inf, -math.inf]  # when each way has room for the next byte
 
+    @property
+    def lost(self) -> bool:
+        """Whether its cable is out."""
+        return bool(getattr(self._device, "lost", False))
+
     def receive(self, data: bytes, now_s: float) -> bytes:
         """Begin to let bytes pass."""
         if data:
@@ -100,6 +105,9 @@ class Slow:
             due_s, data = self._inward.popleft()
             self._answer(self._device.receive(data, due_s), due_s)
         self._answer(self._device.tick(now_s), now_s)
+        if self.lost:
+            self._inward.clear()
+            self._outward.clear()
         said = b""
         while self._outward and self._outward[0][0] <= now_s:
             said += self._outward.popleft()[1]

@@ -160,6 +160,9 @@ class Guard:
                 self.answer(ok=True)
             case "lock":
                 self.answer(**self._lock(said["files"]))
+            case "unlock":
+                self._unlock(said["files"])
+                self.answer(ok=True)
             case "report":
                 self.report_file = said["file"]
                 self.answer(ok=True)
@@ -191,14 +194,18 @@ class Guard:
         self.locks += taken
         return {"ok": True}
 
+    def _unlock(self, files: Sequence[str]) -> None:
+        for file, lock in [each for each in self.locks if each[0] in files]:
+            self.locks.remove((file, lock))
+            with contextlib.suppress(OSError):
+                Path(file).unlink()
+            os.close(lock)
+
     def let_go(self) -> None:
         """Close every wire, then let the next owner in."""
         for held in self.held.values():
             held.free()
-        for file, lock in self.locks:
-            with contextlib.suppress(OSError):
-                Path(file).unlink()
-            os.close(lock)
+        self._unlock([file for file, _ in self.locks])
 
     def act(self, why: str) -> Table:
         """Kill, then say every recipe, each wire by a thread of its own; what came of it."""

@@ -51,6 +51,14 @@ class Guard(Protocol):
         """Forget a link, before it is closed to be opened again."""
         ...
 
+    def lock(self, files: Sequence[str]) -> Mapping[str, Any]:
+        """Take the locks of some places; ``ok``, or else ``file`` and its ``holder``."""
+        ...
+
+    def unlock(self, files: Sequence[str]) -> None:
+        """Let go of some: what is there now is not ours any more."""
+        ...
+
     def take(self, ttl_s: float) -> None:
         """Begin a lease, and see it acknowledged."""
         ...
@@ -86,6 +94,13 @@ class NoGuard:
 
     def drop(self, link: ByteLink) -> None:
         """Nothing was held."""
+
+    def lock(self, files: Sequence[str]) -> Mapping[str, Any]:
+        """Nobody else could want them."""
+        return {"ok": True}
+
+    def unlock(self, files: Sequence[str]) -> None:
+        """Nothing was locked."""
 
     def take(self, ttl_s: float) -> None:
         """Nobody watches it."""
@@ -146,6 +161,10 @@ class GuardProcess:
     def lock(self, files: Sequence[str]) -> Mapping[str, Any]:
         """Ask for the locks of some places; ``ok``, or else ``file`` and its ``holder``."""
         return self._ask({"word": "lock", "files": list(files)})
+
+    def unlock(self, files: Sequence[str]) -> None:
+        """Let go of some locks."""
+        self._ask({"word": "unlock", "files": list(files)})
 
     def hold(self, link: ByteLink, recipes: Sequence[Recipe]) -> bool:
         """Hand a link over; one that was held under its address before is replaced."""
@@ -236,16 +255,30 @@ class GuardProcess:
 class AttendedLink:
     """A link whose reads tell the guard that their thread is alive; it says when it is lost."""
 
-    def __init__(self, link: ByteLink, guard: Guard, lost: Callable[[], object]) -> None:
-        self._link = link
+    def __init__(
+        self, opening: Callable[[], ByteLink], guard: Guard, lost: Callable[[], object]
+    ) -> None:
+        self._opening = opening
+        self._link = opening()
         self._guard = guard
         self._lost = lost
-        self.close = link.close
+        self.is_lost = False
 
     @property
     def address(self) -> str:
         """The address of the link inside."""
         return self._link.address
+
+    def close(self) -> None:
+        """Close; may be called again."""
+        self._link.close()
+
+    def reopen(self) -> None:
+        """Open it again in place of what is lost; sends nothing. Raises LinkLost."""
+        with suppress(LinkLost):
+            self._link.close()
+        self._link = self._opening()
+        self.is_lost = False
 
     def fileno(self) -> int | None:
         """The descriptor of the link inside."""
@@ -268,6 +301,7 @@ class AttendedLink:
         try:
             yield
         except LinkLost:
+            self.is_lost = True
             self._lost()
             raise
 

@@ -77,8 +77,27 @@ def arm(station: OpenStation, pause: Pause) -> None:
     safety.ask(Event.CONFIRM)
 
 
+def resume(station: OpenStation, pause: Pause) -> None:
+    """Go on with a scan that was paused; announced anew where that was long ago.
+
+    Raises
+    ------
+    NotNow
+        The key, the chain or a lost position does not allow it.
+    """
+    safety = station.safety
+    safety.ask(Event.RESUME)
+    if safety.state is State.ARMING:
+        if safety.rules.warning_s > 0.0:
+            pause(safety.rules.warning_s + _CLOCKS_S)
+        safety.ask(Event.CONFIRM)
+        safety.ask(Event.START)
+
+
 def acknowledge(station: OpenStation) -> None:
     """Out of a latched state, because a person says that its cause is gone, and devices agree.
+
+    Links that were lost are opened again; nothing moves by it.
 
     Raises
     ------
@@ -89,6 +108,7 @@ def acknowledge(station: OpenStation) -> None:
     """
     safety = station.safety
     station.laser.off()
+    station.reopen_lost()
     safety.look_now()
     for axis in (station.table, station.stage):
         axis.state()

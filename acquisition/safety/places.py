@@ -58,17 +58,40 @@ def wait_for_its_turn(
         Names the address and the process.
     """
     deadline_s = time.monotonic() + _PATIENCE_S
-    addresses = {str(place.file): place.address for place in places}
-    while not (answer := lock(list(addresses)))["ok"]:
-        address, holder = addresses[answer["file"]], holder_of(answer["holder"])
-        if holder is not None:
-            raise PortBusy(f"{address}: held by {holder}; end it first")
-        if time.monotonic() >= deadline_s:
-            raise PortBusy(
-                f"{address}: the guard of a program that is dead has not let go in"
-                f" {_PATIENCE_S:g} s; press the emergency stop, then end that guard"
-            )
+    while True:
+        try:
+            lock_all(places, lock)
+        except _Dying as dying:
+            if time.monotonic() >= deadline_s:
+                raise PortBusy(
+                    f"{dying}: the guard of a program that is dead has not let go in"
+                    f" {_PATIENCE_S:g} s; press the emergency stop, then end that guard"
+                ) from dying
+        else:
+            return
         sleep(_LOOK_S)
+
+
+class _Dying(PortBusy):
+    """A program is dead, its guard is not done."""
+
+
+def lock_all(places: Sequence[Place], lock: Callable[[Sequence[str]], Mapping[str, Any]]) -> None:
+    """Take every lock, now.
+
+    Raises
+    ------
+    PortBusy
+        Names the address and, where it is alive, the process.
+    """
+    addresses = {str(place.file): place.address for place in places}
+    answer = lock(list(addresses))
+    if answer["ok"]:
+        return
+    address, holder = addresses[answer["file"]], holder_of(answer["holder"])
+    if holder is not None:
+        raise PortBusy(f"{address}: held by {holder}; end it first")
+    raise _Dying(address)
 
 
 def _folder() -> Path:

@@ -14,7 +14,9 @@ way out that every error takes (`acquisition.opening`), in its order, whatever f
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from types import MappingProxyType
+from typing import Protocol
 
 from acquisition.errors import AcquisitionError, InputTripped, NotNow, Stopped, StorageFailed
 from acquisition.safety.states import Action, Event, Rules, Situation, State
@@ -60,12 +62,17 @@ class Supervisor:
         """Where the station stands."""
         return self._now.state
 
-    def tell(self, event: Event) -> Actions:
-        """Tell what has happened; what is to be done about it."""
-        self._now, actions = step(self._now, event, self._clock(), self.rules)
+    def tell(self, event: Event, *, since_s: float | None = None) -> Actions:
+        """Tell what has happened, now or since a time; what is to be done about it."""
+        time_s = self._clock() if since_s is None else since_s
+        self._now, actions = step(self._now, event, time_s, self.rules)
         if Action.ANNOUNCE in actions and self.rules.warning_s > 0.0:
             self.announce(f"laser: it may be lit in {self.rules.warning_s:g} s")
         return actions
+
+    def attend(self, *, attended: bool) -> None:
+        """Say whether somebody stays at the station: then a scan pauses when that one leaves."""
+        self.rules = replace(self.rules, attended=attended)
 
     def ask(self, event: Event) -> None:
         """Ask for something.
@@ -190,12 +197,34 @@ _SAID: Mapping[Event, str] = MappingProxyType(
 )
 
 
-class PermittedLaser:
-    """A `LaserSwitch` that lights only where the state permits it."""
+class Reopened(Protocol):
+    """The link of a switch: `acquisition.safety.resting.Line`."""
 
-    def __init__(self, switch: LaserSwitch, supervisor: Supervisor) -> None:
+    @property
+    def is_lost(self) -> bool:
+        """Whether nothing arrives over it any more."""
+        ...
+
+    def say_again(self, say: Callable[[], object]) -> None:
+        """Open it again and say something over it."""
+        ...
+
+
+class PermittedLaser:
+    """A `LaserSwitch` that lights only where the state permits it.
+
+    Parameters
+    ----------
+    line
+        Of the switch, opened again where off is not heard; None where nothing could be.
+    """
+
+    def __init__(
+        self, switch: LaserSwitch, supervisor: Supervisor, line: Reopened | None = None
+    ) -> None:
         self.switch = switch
         self._supervisor = supervisor
+        self._line = line
 
     def identify(self) -> Identity:
         """Ask the switch who it is."""
@@ -223,13 +252,65 @@ class PermittedLaser:
         self.switch.on()
 
     def off(self) -> None:
-        """Switch off and read back, in every state; tell whether it was confirmed."""
+        """Switch off and read back, in every state; tell whether it was confirmed.
+
+        Over a lost link it is said again when that is open again.
+
+        Raises
+        ------
+        LinkLost
+            The link was lost just now; off was confirmed over a new one.
+        DriverError
+            Not confirmed: press the emergency stop.
+        """
+        known = self._is_lost
+        try:
+            self._off()
+        except DriverError as failed:
+            if self._line is None or not self._line.is_lost:
+                raise
+            self._off_over_a_new_link(self._line)
+            if not known:
+                raise LinkLost(f"{failed}; off was confirmed over a new link") from failed
+
+    def off_where_heard(self) -> None:
+        """Switch off as `off` does, but wait for no link: `off_where_unheard` is for that."""
+        try:
+            self._off()
+        except DriverError:
+            if not self._is_lost:
+                raise
+
+    def off_where_unheard(self) -> None:
+        """Switch off where the link is lost; elsewhere that was done."""
+        if self._is_lost:
+            self.off()
+
+    @property
+    def _is_lost(self) -> bool:
+        return self._line is not None and self._line.is_lost
+
+    def _off(self) -> None:
         try:
             self.switch.off()
         except DriverError:
-            self._supervisor.tell(Event.OFF_UNCONFIRMED)
+            if not self._is_lost:  # a lost link may be opened again
+                self._supervisor.tell(Event.OFF_UNCONFIRMED)
             raise
         self._supervisor.tell(Event.OFF_CONFIRMED)
+
+    def _off_over_a_new_link(self, line: Reopened) -> None:
+        self._supervisor.tell(Event.LASER_LINK_LOST)
+        try:
+            line.say_again(self.switch.off)
+        except DriverError as failed:
+            self._supervisor.tell(Event.OFF_UNCONFIRMED)
+            raise Refused(
+                f"laser: its link was lost and off not confirmed over a new one ({failed}):"
+                " press the emergency stop"
+            ) from failed
+        self._supervisor.tell(Event.OFF_CONFIRMED)
+        self._supervisor.announce("laser: its link was lost; off was confirmed over a new one")
 
     def is_on(self) -> bool:
         """Read the output back."""

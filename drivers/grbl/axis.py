@@ -357,18 +357,23 @@ class GrblAxis:
             ) from lost
 
     def _open(self, pause: Pause | None) -> Identity:
-        """Handshake that needs no banner: an open port may have swallowed it."""
         self._homed_at = None
+        self._identity = self._talk.insist(lambda: self._introduced(pause))
+        return self._identity
+
+    def _introduced(self, pause: Pause | None) -> Identity:
+        """Handshake that needs no banner: an open port may have swallowed it."""
         self._talk.drain()
         self._talk.reset(pause, within_s=BANNER_S)
         self._talk.until(lambda: False, QUIET_S, pause)  # startup lines, a second banner
         self._talk.dialogue.reset_asked = False
         self._talk.status(pause)
+        self._talk.dialogue.settings.clear()
         self._talk.exchange("$I", pause)
         self._talk.exchange("$$", pause)
+        identity = identity_of(self._talk)
         self._check_settings()
-        self._identity = identity_of(self._talk)
-        return self._identity
+        return identity
 
     def _check_settings(self) -> None:
         if self._talk.setting(13):

@@ -33,6 +33,7 @@ BANNER_S: Final = 2.5  # an Arduino's boot loader takes 2 s after the port opens
 QUIET_S: Final = 0.1
 _STEP_S: Final = 0.005  # between looks at the link while an answer is due
 _DRAIN_READS: Final = 64
+_HANDSHAKES: Final = 3
 _OLDEST: Final = 1.1  # of the firmware
 _SINGLE_AXIS: Final = 1 << 1  # of grblHAL's $22
 
@@ -55,6 +56,7 @@ class Conversation:
         self.clock = clock
         self.dialogue = Dialogue()
         self._link = link
+        self._heard_bytes = 0
 
     def exchange(self, line: str, pause: Pause | None, *, within_s: float = ANSWER_S) -> None:
         """Send one line and see it answered ok; never sends it twice."""
@@ -74,6 +76,25 @@ class Conversation:
         if dialogue.upsets != upsets:
             raise self.upset(line)
         raise NoReply(f"{self.name}: {line} was not answered in {within_s:.1f} s; check the cable")
+
+    def insist(self, handshake: Callable[[], Identity]) -> Identity:
+        """Ask who it is and how it is set; anew where an answer was lost or damaged, twice at most.
+
+        Nothing asked for changes anything, and a handshake begins with a reset: that ends what a
+        bent question may have begun. `$I` with one bit wrong is `$H`, which homes.
+        """
+        for tries_left in reversed(range(_HANDSHAKES)):
+            heard_before = self._heard_bytes
+            try:
+                return handshake()
+            except (NoReply, FrameError):
+                if not tries_left or self._heard_bytes == heard_before:  # nobody is there
+                    raise
+            except Refused:
+                misheard = isinstance(self.dialogue.answer, Error)
+                if not (tries_left and misheard):
+                    raise
+        raise AssertionError  # the last handshake returned or raised
 
     def status(self, pause: Pause | None) -> Status:
         """One report, asked for at most twice."""
@@ -167,6 +188,7 @@ class Conversation:
         except LinkLost:
             self.dialogue.upsets += 1
             raise
+        self._heard_bytes += len(data)
         self.dialogue.feed(data)
         if pause is not None:
             pause(0.0 if data else seconds)

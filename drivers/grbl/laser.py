@@ -15,7 +15,7 @@ from typing import Final
 
 from drivers.axis import Identity
 from drivers.endings import unless_done
-from drivers.errors import DriverError, NoReply, Refused
+from drivers.errors import DriverError, LinkLost, NoReply, Refused
 from drivers.grbl.conversation import BANNER_S, QUIET_S, Conversation, identity_of
 from drivers.grbl.messages import State, Status
 from drivers.grbl.wire import Realtime
@@ -48,11 +48,15 @@ class GrblLaser:
         Refused
             It is in laser mode, or its fastest spindle is 0.
         """
+        return self._talk.insist(self._introduced)
+
+    def _introduced(self) -> Identity:
         self._talk.drain()
         self._talk.reset(None, within_s=BANNER_S)
         self._talk.until(lambda: False, QUIET_S, None)
         self._talk.dialogue.reset_asked = False
         self._talk.status(None)
+        self._talk.dialogue.settings.clear()
         for line in ("$X", "$I", "$$"):
             self._talk.exchange(line, None)
         if self._talk.setting(32):
@@ -102,6 +106,9 @@ class GrblLaser:
                 self._talk.dialogue.reset_asked = False
                 if not self.is_on():
                     return
+            except LinkLost as lost:  # whoever opened it may open it again
+                self._patience_s = BANNER_S  # which may reset the board
+                raise LinkLost(f"{self._name}: off was not heard: {lost}") from lost
             except DriverError as failed:
                 reason = failed
         raise Refused(

@@ -10,7 +10,7 @@ from typing import Final
 
 from drivers.axis import Identity
 from drivers.endings import unless_done
-from drivers.errors import DriverError, FrameError, Refused
+from drivers.errors import DriverError, FrameError, LinkLost, Refused
 from drivers.hokuyo.codes import ALREADY, OK
 from drivers.hokuyo.line import ScipLine, refusal
 from drivers.laser import Guarantee
@@ -78,6 +78,8 @@ class HokuyoLaser:
                 self._line.dialogue.give_up(self._line.send("QT"))  # only II confirms it
                 if not self._reads_on_once():
                     return
+            except LinkLost as lost:  # whoever opened it may open it again
+                raise LinkLost(f"{self._name}: off was not heard: {lost}") from lost
             except DriverError as failed:
                 reason = failed
         raise Refused(

@@ -112,6 +112,8 @@ class ScipLine:
             self.dialogue.give_up(asked)
         if reply is not None and reply.status not in MISHEARD:
             return reply
+        # Half a command may lie in the sensor; the next would be taken for its rest.
+        self.end_torn_commands()
         if reply is not None:
             raise FrameError(
                 f"hokuyo at {self.address}: heard no {command}, status {reply.status}:"

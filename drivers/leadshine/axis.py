@@ -68,7 +68,7 @@ class LeadshineStage:
         self._settings = settings
         self._name = name
         self._clock = clock
-        self._homed = False
+        self._homed_at: int | None = None  # the bus's count of losses then
         self._homing = False
 
     @property
@@ -103,7 +103,7 @@ class LeadshineStage:
         """Let the drive look for its reference; see `Axis.home`."""
         self._must_be_ready()
         self._must_have_the_scale()
-        self._homed = False
+        self._homed_at = None
         timeout_s = self._settings.homing_s()
         with unless_done(self._give_up):
             self._lift_limits()
@@ -123,7 +123,7 @@ class LeadshineStage:
                 )
             self._homing = False
             self._set_limits()
-            self._homed = True
+            self._homed_at = self._bus.losses
             return self._state_of(status)
 
     def move_to(self, position: float, pause: Pause) -> AxisState:
@@ -174,7 +174,7 @@ class LeadshineStage:
 
     def clear_alarm(self) -> None:
         """Reset the drive's alarm, once, because a person asked; forgets "homed"."""
-        self._homed = False
+        self._homed_at = None
         self._write_one(Register.CONTROL_WORD, RESET_ALARM)
 
     def _start(self, path: Path) -> DriverError | None:
@@ -246,6 +246,10 @@ class LeadshineStage:
                 f"{low_mm:.3f} to {high_mm:.3f} mm; change the target or the limits"
             )
 
+    @property
+    def _homed(self) -> bool:
+        return self._homed_at == self._bus.losses
+
     def _must_be_homed(self) -> None:
         if not self._homed:
             raise Refused(f"{self._name}: not homed, its position means nothing; home it first")
@@ -303,7 +307,7 @@ class LeadshineStage:
     def _status(self) -> Status:
         status = Status(self._read(Register.STATUS))
         if Status.FAULT in status or Status.ENABLED not in status or Status.HOMED not in status:
-            self._homed = False
+            self._homed_at = None
         return status
 
     def _position_mm(self) -> float:
@@ -345,7 +349,7 @@ class LeadshineStage:
         try:
             yield
         except LinkLost:
-            self._homed = False
+            self._homed_at = None
             raise
         except Refused as refused:
             if refused.code != DAMAGED_REQUEST:

@@ -65,7 +65,7 @@ class AzAxis:
         self._settings = settings
         self._clock = clock
         self._identity: Identity | None = None
-        self._homed = False
+        self._homed_at: int | None = None  # the bus's count of losses then
         self._homing = False
         self._names = 0  # steps from the drive's count to what the place is called
 
@@ -84,7 +84,7 @@ class AzAxis:
             The electronic gear or the wrap range is not the station's.
         """
         if self._identity is None:
-            self._homed = False
+            self._homed_at = None
             told = [self._check_gear(), self._check_wrap()]
             model = ", ".join(["AZ", *filter(None, told)])
             self._identity = Identity("oriental", model, "not told")
@@ -97,7 +97,7 @@ class AzAxis:
     def home(self, pause: Pause) -> AxisState:
         """Let the drive go to its home; see `Axis.home`."""
         self._ready()
-        self._homed = False
+        self._homed_at = None
         with unless_done(self._give_up):
             self._homing = True
             # Never re-sent: a lost answer shows in the outputs, as a lost request does.
@@ -111,7 +111,7 @@ class AzAxis:
                     " and what is in the way"
                 )
             self._homing = False
-            self._homed, self._names = True, 0
+            self._homed_at, self._names = self._bus.losses, 0
             return self._state_of(output)
 
     def move_to(self, position: float, pause: Pause) -> AxisState:
@@ -154,7 +154,7 @@ class AzAxis:
 
     def clear_alarm(self) -> None:
         """Reset the drive's alarm, once, because a person asked; forgets "homed"."""
-        self._homed = False
+        self._homed_at = None
         self._write(Register.ALARM_RESET, words_of(1))
 
     # --- moving
@@ -226,7 +226,7 @@ class AzAxis:
             raise NoReply(
                 f"{said}; the answer to the move was lost, it was not sent again"
             ) from lost
-        self._homed = False
+        self._homed_at = None
         raise Refused(f"{said}; is something in its way, or was it stopped? then home")
 
     def _give_up(self) -> None:
@@ -243,6 +243,10 @@ class AzAxis:
             raise Refused(f"{self._name}: is still moving; stop it first")
         if Output.READY not in output:
             raise Refused(f"{self._name}: the drive is not ready; check its FREE and STOP inputs")
+
+    @property
+    def _homed(self) -> bool:
+        return self._homed_at == self._bus.losses
 
     def _must_be_homed(self) -> None:
         if not self._homed:
@@ -304,7 +308,7 @@ class AzAxis:
     def _output(self) -> Output:
         output = Output(self._value(Register.OUTPUT) & 0xFFFF)
         if Output.ALARM in output:
-            self._homed = False
+            self._homed_at = None
         return output
 
     def _count(self) -> int:
@@ -335,6 +339,6 @@ class AzAxis:
         try:
             yield
         except LinkLost:
-            self._homed = False
+            self._homed_at = None
             self._identity = None  # whoever answers next may be another
             raise

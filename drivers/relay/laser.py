@@ -16,7 +16,7 @@ from typing import Protocol
 from drivers.axis import Identity
 from drivers.bus import Bus
 from drivers.endings import unless_done
-from drivers.errors import DriverError, Refused
+from drivers.errors import DriverError, LinkLost, Refused
 from drivers.laser import Guarantee
 from drivers.modbus_recipes import coil_is_open, without_bits, write_coil, write_register
 from drivers.recipes import Order, Recipe, Word
@@ -126,13 +126,15 @@ class _Contact:
             )
 
     def open(self) -> None:
-        """Open it: three tries, whatever goes wrong in the ones before."""
+        """Open it: three tries, whatever goes wrong in the ones before; a lost link takes none."""
         reason: DriverError | None = None
         for _ in range(_OFF_TRIES):
             try:
                 self._output.write(self._bus, self._device_id, closed=False)
                 if self._follows(closed=False):
                     return
+            except LinkLost as lost:  # whoever opened it may open it again
+                raise LinkLost(f"{self._name}: off was not heard: {lost}") from lost
             except DriverError as failed:
                 reason = failed
         raise Refused(

@@ -94,13 +94,14 @@ def _take(
 ) -> None:
     """Open the station, take what is missing, keep it; at rest and closed on every way out."""
     from acquisition.opening import open_station
-    from acquisition.safety.promises import must_be_attended
+    from acquisition.safety.promises import Attendance, must_be_attended
     from acquisition.scan import scan
     from acquisition.scan_record import State
     from loftscan.scanning import begin
 
     with _links(logs, teller) as links, open_station(here.station, links=links) as devices:
         must_be_attended(devices.guarantee, attendance)
+        devices.safety.attend(attended=attendance is Attendance.PRESENT)
         teller.laser(devices.guarantee, devices.guarded)
         devices.safety.announce = teller.note
         with begin(here, devices, stop) as writer:

@@ -20,6 +20,8 @@ from acquisition.axes import grbl_settings, leadshine_settings
 from acquisition.opening import OpenStation, at_rest_unless_done, open_station
 from acquisition.plan import check_plan, ring
 from acquisition.safety.guarding import unguarded
+from acquisition.safety.resting import REOPEN_S
+from acquisition.safety.states import State
 from acquisition.station import (
     HomeMark,
     HomeWay,
@@ -32,7 +34,7 @@ from acquisition.station import (
     TableZero,
 )
 from drivers import grbl, leadshine
-from drivers.errors import DriverError, LinkLost, PortBusy, Refused
+from drivers.errors import DriverError, LinkLost, NoReply, PortBusy, Refused
 from tests.acquisition.scan_cases import STATION
 
 LASER, TABLE, STAGE = "tcp://192.0.2.8:502", STATION.table.address, STATION.stage.address
@@ -73,6 +75,7 @@ class Site:
     devices: dict[tuple[str, int], Device] = field(default_factory=dict)
     missing: dict[str, LinkLost] = field(default_factory=dict)
     cut: dict[str, str] = field(default_factory=dict)  # by address: every write fails
+    mended_s: float = math.inf  # when the cut ones are whole again
     stuck: set[str] = field(default_factory=set)  # by address: closing fails
 
     def clock(self) -> float:
@@ -121,16 +124,21 @@ class Wire:
     address: str
     speak: Callable[[str, bytes], bytes]
     inbox: bytes = b""
+    lost: str = ""
 
     def read(self, timeout_s: float) -> bytes:
+        if self.lost:
+            raise LinkLost(self.lost)
         if not self.inbox:
             self.site.now_s += timeout_s
         data, self.inbox = self.inbox, b""
         return data
 
     def write(self, data: bytes) -> None:
-        if self.address in self.site.cut:
-            raise LinkLost(self.site.cut[self.address])
+        if self.address in self.site.cut and self.site.now_s < self.site.mended_s:
+            self.lost = self.site.cut[self.address]
+        if self.lost:
+            raise LinkLost(self.lost)
         self.inbox += self.speak(self.address, data)
 
     def close(self) -> None:
@@ -211,8 +219,49 @@ def test_a_way_out_that_fails_does_not_keep_the_others_back_and_the_first_error_
         site.cut[STAGE] = "the stage's cable is out"
     assert not site.devices[LASER, 1].coils[0]
     assert GRBL_STOP in site.sent(TABLE)
-    assert len(site.doors(CLOSE)) == 5
+    assert sorted(site.doors(CLOSE)) == sorted(site.doors(OPEN))
     assert any("does not close" in note for note in lost.value.__notes__)
+
+
+def test_off_is_said_over_a_new_link_after_the_axes_were_stopped() -> None:
+    site = Site()
+    with opened(site) as station:
+        station.laser.switch.on()
+        site.cut[LASER], site.mended_s = "the relay's cable is out", site.now_s + 1.0
+        before = len(site.journal)
+    way_out = site.journal[before:]
+    assert not site.devices[LASER, 1].coils[0]
+    order = [way_out.index(each) for each in ((TABLE, GRBL_STOP), (LASER, OPEN), (LASER, OFF))]
+    assert order == sorted(order)
+    assert station.safety.state is State.SHUTDOWN
+    assert way_out[way_out.index((LASER, OFF)) - 1] == (LASER, OPEN)  # the first bytes are off
+
+
+def test_an_axis_is_stopped_over_a_new_link_and_forgets_its_home() -> None:
+    site = Site()
+    with opened(site) as station:
+        stage = station.stage
+        stage._homed_at = stage._bus.losses  # type: ignore[attr-defined]
+        site.cut[STAGE], site.mended_s = "the stage's cable is out", site.now_s + 1.0
+        before = len(site.journal)
+        with pytest.raises(DriverError, match="inside"), at_rest_unless_done(station):
+            raise NoReply("inside")
+        assert (STAGE, STOP) in site.journal[before:]
+        assert not stage.state().homed
+        moved = [pdu for _, pdu in site.journal[before:] if pdu[:3] == b"\x10\x62\x00"]
+        assert moved == []
+
+
+def test_a_link_that_stays_away_is_given_up_after_two_seconds_and_told() -> None:
+    site = Site()
+    with pytest.raises(Refused, match="press the emergency stop") as told, opened(site) as station:  # noqa: PT012
+        site.cut[LASER] = "the relay's cable is out"
+        opened_before = site.doors(OPEN).count(LASER)
+    assert "not opened again in 2 s" in str(told.value)
+    tries = site.doors(OPEN).count(LASER) - opened_before
+    assert abs(tries - REOPEN_S / 0.05) <= 2  # and one more for the last off of all
+    assert STOP in site.sent(STAGE)
+    assert station.safety.situation.dark is False
 
 
 def test_an_error_inside_is_the_one_that_is_raised_and_the_ways_out_are_its_notes() -> None:

@@ -11,14 +11,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from acquisition.errors import LeaseLapsed, Stopped, ZeroLost
+from acquisition.errors import LeaseLapsed, NotNow, Stopped, ZeroLost
 from acquisition.lease import TTL_S, Lease
 from acquisition.opening import OpenStation
 from acquisition.plan import Plan, StepAndShoot, ring
 from acquisition.poses import Sweep
 from acquisition.profilers import lost_profile
 from acquisition.safety.guarding import NoGuard
-from acquisition.safety.states import Event, Rules
+from acquisition.safety.resting import Rest
+from acquisition.safety.states import Event, Rules, Situation, State
 from acquisition.safety.supervising import PermittedLaser, Supervisor
 from acquisition.scan import (
     PartStands,
@@ -247,9 +248,13 @@ def rig(settings: Station = STATION, **bench: object) -> Rig:
     safety.tell(Event.SELF_TESTED)
     safety.tell(Event.CONNECT)
     safety.tell(Event.OFF_CONFIRMED)
+    permitted = PermittedLaser(laser, safety)
+    rest = Rest(permitted, safety)
+    for axis in (table, stage):
+        rest.add(axis.name, axis, None)
     station = OpenStation(
-        settings, table, stage, profiler, PermittedLaser(laser, safety), promise, made.clock,
-        made.sleep, Lease(TTL_S, made.clock), NoGuard(), {}, safety,
+        settings, table, stage, profiler, permitted, promise, made.clock,
+        made.sleep, Lease(TTL_S, made.clock), NoGuard(), {}, safety, rest,
     )  # fmt: skip
     return Rig(made, table, stage, profiler, laser, station)
 
@@ -664,3 +669,72 @@ def test_an_axis_that_lost_its_position_in_the_exposure_gives_no_pose() -> None:
     with pytest.raises(DriverError, match=r"stage: .* alarm, no longer homed 0x0F0"):
         at.take(replace(PLAN, step_and_shoot=StepAndShoot(settle_s=2.0)))
     assert at.at_rest
+
+
+# --- who watches, and who takes ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("attended", [True, False])
+def test_whoever_watched_and_left_pauses_an_attended_scan_at_the_border_and_no_other(
+    attended: bool,  # noqa: FBT001
+) -> None:
+    at = rig()
+    at.station.safety.attend(attended=attended)
+    taken = []
+    for sweep in scan(at.station, PLAN, stop=at.stop):
+        taken.append(sweep.index)
+        at.stop.leave()
+    assert taken == ([0] if attended else [0, 1, 2])
+    assert at.at_rest
+    assert at.station.safety.state is (State.PAUSED if attended else State.READY)
+
+
+def test_a_scan_that_was_left_alone_is_resumed_from_its_pause() -> None:
+    at = rig()
+    at.station.safety.attend(attended=True)
+    sweeps = scan(at.station, PLAN, stop=at.stop)
+    next(sweeps)
+    at.stop.leave()
+    assert list(sweeps) == []
+    at.stop = StopRequest()
+    assert [each.index for each in at.take(indices=(1, 2))] == [1, 2]
+
+
+@pytest.mark.parametrize(("slow_s", "announced"), [(0.5, 0), (30.0, 0), (90.0, 1)])
+def test_whoever_is_slow_to_take_a_slice_pauses_the_scan_and_loses_none(
+    slow_s: float, announced: int
+) -> None:
+    at = rig()
+    safety, told, seen = at.station.safety, list[str](), list[Situation]()
+    safety.rules, safety.announce = Rules(warning_s=3.0), told.append
+    sweeps = scan(at.station, PLAN, stop=at.stop)
+    next(sweeps)
+    assert at.at_rest
+    told.clear()
+    at.bench.sleep(slow_s)
+    tell = safety.tell
+
+    def overheard(event: Event, *, since_s: float | None = None) -> object:
+        actions = tell(event, since_s=since_s)
+        if event is Event.BACK_PRESSURE:
+            seen.append(safety.situation)
+        return actions
+
+    safety.tell = overheard  # type: ignore[method-assign, assignment]
+    lit_s = at.bench.now_s
+    assert [each.index for each in sweeps] == [1, 2]
+    assert len(told) == announced  # the laser, anew, before it is lit
+    assert [each.state for each in seen] == ([State.PAUSED] if slow_s > 1.0 else [])
+    assert all(each.since_s == pytest.approx(lit_s - slow_s) for each in seen)
+
+
+def test_a_key_that_was_turned_off_while_a_slice_was_taken_lights_nothing() -> None:
+    at = rig()
+    sweeps = scan(at.station, PLAN, stop=at.stop)
+    next(sweeps)
+    at.bench.sleep(5.0)
+    at.station.safety.tell(Event.KEY_OFF)
+    before = len(at.bench.calls)
+    with pytest.raises(NotNow):
+        next(sweeps)
+    assert not any(call.startswith("laser on") for call in at.bench.calls[before:])

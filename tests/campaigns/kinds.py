@@ -8,6 +8,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import combinations
 from signal import Signals
 
 from tests.campaigns.victims import Instant, Victim
@@ -73,6 +74,14 @@ def _unplugged(victim: Victim, _: Instant) -> Struck:
     return Struck(now_s)
 
 
+def _two_unplugged(victim: Victim, instant: Instant) -> Struck:
+    """Pull two of the station's cables together, any two."""
+    pairs = list(combinations(("table", "stage", "profiler", "relay"), 2))
+    now_s = time.monotonic()
+    victim.unplug(*pairs[int(len(pairs) * instant.which)])
+    return Struck(now_s)
+
+
 @dataclass(frozen=True, slots=True)
 class Kind:
     """A way to stop a scan, and what is promised of it."""
@@ -113,7 +122,8 @@ KINDS = (
     Kind("exception", _by_itself, (1,), by_script=True, raises=True),
     Kind("script SIGINT", signalled(signal.SIGINT), (-signal.SIGINT,), by_script=True),
     Kind("unplugged", _unplugged, (4,), laser_s=None, axes_s=None),
-    Kind("stdout closed", _unread, (1,), laser_s=0.0, counts_from_end=True, piped=True),
+    Kind("two unplugged", _two_unplugged, (4,), laser_s=None, axes_s=None),
+    Kind("stdout closed", _unread, (), laser_s=0.0, axes_s=0.0, counts_from_end=True, piped=True),
     Kind("SIGKILL", signalled(signal.SIGKILL), (-signal.SIGKILL,), laser_s=KILLED_S, dies=True),
     Kind("SIGSTOP", held(STOPPED_S), (4, -signal.SIGKILL), laser_s=HUNG_S, axes_s=None, dies=True),
 )  # fmt: skip

@@ -138,7 +138,7 @@ class StruckScan:
             return ["the resume left a damaged slice"]
         if taken != set(range(self._plan.ring.count)) - kept:
             return [f"the resume took {sorted(taken)}, and {sorted(kept)} were kept"]
-        return list(self._untrue(folder))
+        return list(untrue(folder, self._plan, read_all(self._station.witness)))
 
     def _start(self, kind: Kind, instant: Instant) -> Victim:
         plan, missing = self._folder / "plan.toml", self.missing
@@ -157,7 +157,7 @@ class StruckScan:
         kept = frozenset(self._kept)
         return Victim(
             process, self._out, said, complained, kept, stops, len(missing), witnessed,
-            self._station.pid,
+            self._station.pid, self._station.unplug,
         )  # fmt: skip
 
     def _judged(
@@ -236,28 +236,29 @@ class StruckScan:
     def _looked_at(self, events: Sequence[Event]) -> set[int]:
         """Slices at whose height the sensor saw something."""
         seen = [event["stage_mm"] for event in events if event["what"] == "profile"]
-        return {self._index(stage_mm) for stage_mm in seen}
+        return {_index(self._plan, stage_mm) for stage_mm in seen}
 
-    def _index(self, stage_mm: float) -> int:
-        return round((stage_mm - self._plan.ring.first_mm) / self._plan.ring.step_mm)
 
-    def _untrue(self, folder: ScanFolder) -> Iterator[str]:
-        """Profiles that are there twice, or whose pose is not where the axes truly were."""
-        events = read_all(self._station.witness)
-        truth = {event["frame"]: event for event in events if event["what"] == "profile"}
-        for index in folder.indices():
-            sweep = folder.read(index)
-            for profile, pose in zip(sweep.profiles, sweep.poses, strict=True):
-                there = truth.pop(profile.frame, None)
-                if there is None:
-                    yield f"slice {index}: frame {profile.frame} was never sent, or is there twice"
-                    continue
-                # The switch comes once a turn: the world may count turns that nobody else does.
-                off_rad = math.remainder(there["table_rad"] - pose.table_rad, math.tau)
-                off_mm = there["stage_mm"] - pose.stage_mm
-                elsewhere = self._index(there["stage_mm"]) != index
-                if abs(off_rad) > _FAR_RAD or abs(off_mm) > _FAR_MM or elsewhere:
-                    yield f"slice {index}: frame {profile.frame} was taken elsewhere"
+def untrue(folder: ScanFolder, plan: Plan, events: Sequence[Event]) -> Iterator[str]:
+    """Profiles that are there twice, or whose pose is not where the axes truly were."""
+    truth = {event["frame"]: event for event in events if event["what"] == "profile"}
+    for index in folder.indices():
+        sweep = folder.read(index)
+        for profile, pose in zip(sweep.profiles, sweep.poses, strict=True):
+            there = truth.pop(profile.frame, None)
+            if there is None:
+                yield f"slice {index}: frame {profile.frame} was never sent, or is there twice"
+                continue
+            # The switch comes once a turn: the world may count turns that nobody else does.
+            off_rad = math.remainder(there["table_rad"] - pose.table_rad, math.tau)
+            off_mm = there["stage_mm"] - pose.stage_mm
+            elsewhere = _index(plan, there["stage_mm"]) != index
+            if abs(off_rad) > _FAR_RAD or abs(off_mm) > _FAR_MM or elsewhere:
+                yield f"slice {index}: frame {profile.frame} was taken elsewhere"
+
+
+def _index(plan: Plan, stage_mm: float) -> int:
+    return round((stage_mm - plan.ring.first_mm) / plan.ring.step_mm)
 
 
 def _raised(victim: Victim) -> Struck | None:

@@ -15,7 +15,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import Enum
 from itertools import cycle
@@ -74,6 +74,7 @@ class Victim:
     slices: int  # that it has still to take
     witnessed: Witnessed
     station_pid: int
+    unplug: Callable[..., None]  # cables of the station, by name
 
     def await_instant(self, instant: Instant) -> bool:
         """Wait for it; whether the program was still alive then."""

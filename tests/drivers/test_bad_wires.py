@@ -9,18 +9,19 @@ from __future__ import annotations
 
 import random
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import pytest
 
 from drivers.errors import DriverError, LinkLost
+from drivers.hokuyo.line import ScipLine
+from drivers.hokuyo.wire import Window, scan_command, scan_of
 from drivers.modbus import Framing, ModbusBus
-from sim.device import ModbusRefusal
 from sim.faulty_wire import FaultyLine, Plug
 from sim.modbus import RtuServer, TcpSession
 from sim.wire_faults import Carrier, WireFaults
+from tests.campaigns.numbered import NumberedScanner, NumberedUnit, number, range_of
 from tests.drivers.virtual_wire import Clock, Slow, VirtualWire
 
 QUESTIONS = 10_000
@@ -30,39 +31,6 @@ LATENCY_S = 0.002
 TIMEOUT_S, LATE_S, SLOWEST_S = 0.1, 0.12, 0.42
 ASKED = {"late": 0.2, "flip": 0.05, "twice": 0.1}
 ALL = {**ASKED, "drop": 0.02, "cut": 0.05, "swap": 0.02, "split": 0.1, "noise": 0.05, "mute": 0.001}
-
-
-class Numbers:
-    """A unit whose registers hold a hash of their address; they cannot be written."""
-
-    def read_holding(self, first: int, count: int, now_s: float) -> Sequence[int]:
-        del now_s
-        return [number(first + k) for k in range(count)]
-
-    def read_input(self, first: int, count: int, now_s: float) -> Sequence[int]:
-        return self.read_holding(first, count, now_s)
-
-    def read_coils(self, first: int, count: int, now_s: float) -> Sequence[bool]:
-        return [bool(each & 1) for each in self.read_holding(first, count, now_s)]
-
-    def read_discrete(self, first: int, count: int, now_s: float) -> Sequence[bool]:
-        return self.read_coils(first, count, now_s)
-
-    def write_registers(self, first: int, values: Sequence[int], now_s: float) -> None:
-        raise ModbusRefusal(2)
-
-    def write_coils(self, first: int, values: Sequence[bool], now_s: float) -> None:
-        raise ModbusRefusal(2)
-
-    def heard(self, now_s: float) -> None:
-        pass
-
-    def tick(self, now_s: float) -> None:
-        pass
-
-
-def number(address: int) -> int:
-    return address * 2654435761 >> 7 & 0xFFFF
 
 
 @dataclass
@@ -79,7 +47,7 @@ class BadBus:
     def connect(self) -> ModbusBus:
         self.connections += 1
         rtu = self.framing is Framing.RTU
-        server = RtuServer({1: Numbers()}) if rtu else TcpSession({1: Numbers()})
+        server = RtuServer({1: NumberedUnit()}) if rtu else TcpSession({1: NumberedUnit()})
         faults = WireFaults(chances=MappingProxyType(self.chances), late_s=LATE_S)
         dice = random.Random(f"{self.seed} {self.connections}")
         carrier = Carrier.SERIAL if rtu else Carrier.TCP
@@ -132,3 +100,37 @@ def test_a_sound_line_is_asked_once_a_question():
     assert bad.ask_much() == {"right": QUESTIONS}
     # The answer, 2 ms, and the silence that makes it good.
     assert bad.clock() - 1000.0 < QUESTIONS * (LATENCY_S + 0.0055)
+
+
+# --- half a command ------------------------------------------------------------------------------
+
+
+def ask_a_scanner(questions: int) -> Counter[str]:
+    """Ask for the numbers of some steps; half a command stays in the sensor until its line ends."""
+    clock, asking, came = Clock(), random.Random(5), Counter[str]()
+    faults = WireFaults(chances=MappingProxyType(ALL), late_s=0.15)
+    device = Slow(NumberedScanner(), LATENCY_S)
+    line = FaultyLine(device, faults, Carrier.SERIAL, Plug("scanner"), random.Random(3))
+    scanner = ScipLine(VirtualWire(clock, line), clock=clock)
+    for _ in range(questions):
+        first = asking.randrange(44, 700)
+        window = Window(first, first + asking.randrange(1, 25))
+        try:
+            ranges = scan_of(scanner.ask(scan_command(window)), window).ranges.tolist()
+        except DriverError:
+            came["error"] += 1
+        else:
+            due = [range_of(step) for step in range(first, window.last + 1)]
+            came["right" if ranges == due else "wrong"] += 1
+    return came
+
+
+def test_a_scan_of_other_steps_is_not_returned_as_good():
+    came = ask_a_scanner(QUESTIONS)
+    assert came["wrong"] == 0
+    assert came["right"] > 0.6 * QUESTIONS
+
+
+def test_where_half_a_command_is_not_ended_the_next_is_answered_with_its_scan(monkeypatch):
+    monkeypatch.setattr(ScipLine, "end_torn_commands", lambda _: None)
+    assert ask_a_scanner(QUESTIONS)["wrong"] > 0

@@ -86,6 +86,7 @@ class Drive:
     slipped: int = 0  # counts by which it ends short
     breaks: list[tuple[str, DriverError, bool]] = field(default_factory=list)
     log: list[tuple[str, int, tuple[int, ...]]] = field(default_factory=list)
+    losses: int = 0  # of the link
     trips: dict[float, int] = field(default_factory=dict)  # when which alarm comes
     _begun_s: float | None = None
     _begun_at: float = 0.0
