@@ -7,12 +7,14 @@ else uint16 or int32, with the length of each profile beside them::
     x         x x x x  x x   x x x x x     x, z, reasons (sum of lengths,)
 
 Nothing is pickled, nothing compressed; the same sweep gives the same bytes (the zip's dates are
-fixed). The zip's CRC covers every column, and counts are checked against each other: what decodes
-is what was written.
+fixed). The zip's CRC covers every column, its comment is the SHA-256 of all bytes before it, and
+counts are checked against each other: what decodes is what was written. Files of before there was
+that comment decode still; `has_checksum` tells them.
 """
 
 from __future__ import annotations
 
+import hashlib
 import io
 import struct
 import zipfile
@@ -50,8 +52,11 @@ _TYPES = {
     "reasons": ("|u1",),
     "intensity": ("<u2",),
 }
-_NAMES = tuple(_TYPES)
-_BROKEN = (
+COLUMNS = tuple(_TYPES)
+_CHECKSUM = b"sha256:"  # and 64 hexadecimal digits: the zip's comment, the last bytes of the file
+_CHECKSUM_BYTES = len(_CHECKSUM) + 64
+_DIRECTORY_END = b"PK\x05\x06"  # 22 bytes before the end of a zip without a comment
+BROKEN = (
     zipfile.BadZipFile,
     NotImplementedError,  # a flag of the zip says a method that we never write
     struct.error,
@@ -70,7 +75,14 @@ def encode_sweep(sweep: Sweep) -> bytes:
             member = io.BytesIO()
             npy.write_array(member, column, version=(1, 0), allow_pickle=False)
             archive.writestr(zipfile.ZipInfo(f"{name}.npy"), member.getvalue())
-    return whole.getvalue()
+        archive.comment = bytes(_CHECKSUM_BYTES)
+    data = whole.getvalue()[:-_CHECKSUM_BYTES]
+    return data + _checksum(data)
+
+
+def has_checksum(data: bytes) -> bool:
+    """Whether a slice file ends with its SHA-256; older ones do not."""
+    return data[-_CHECKSUM_BYTES:].startswith(_CHECKSUM)
 
 
 def decode_sweep(data: bytes) -> Sweep:
@@ -83,13 +95,34 @@ def decode_sweep(data: bytes) -> Sweep:
     """
     try:
         columns = _unpacked(data)
-    except _BROKEN as broken:
+    except BROKEN as broken:
         raise ValueError(f"damaged archive: {broken}") from broken
+    except ValueError:
+        _check_checksum(data)  # of damage and a strange column the damage is told
+        raise
+    _check_checksum(data)
+    return sweep_of(columns)
+
+
+def sweep_of(columns: Columns) -> Sweep:
+    """Make a sweep of columns whose bytes are proven; raises as `decode_sweep`."""
     if columns["version"].tolist() != _VERSION:
         raise ValueError(f"version {columns['version'].tolist()}, this program knows {_VERSION}")
     _check_types(columns)
     _check_counts(columns)
     return Sweep(int(columns["index"]), _profiles(columns), _poses(columns))
+
+
+def _checksum(data: bytes) -> bytes:
+    return _CHECKSUM + hashlib.sha256(data).hexdigest().encode()
+
+
+def _check_checksum(data: bytes) -> None:
+    if has_checksum(data):
+        if _checksum(data[:-_CHECKSUM_BYTES]) != data[-_CHECKSUM_BYTES:]:
+            raise ValueError("damaged archive: its bytes do not have the SHA-256 at its end")
+    elif data[-22:-18] != _DIRECTORY_END or data[-2:] != bytes(2):  # its comment's length
+        raise ValueError("damaged archive: it ends with neither a checksum nor the directory")
 
 
 def _columns(sweep: Sweep) -> Columns:
@@ -117,7 +150,7 @@ def _columns(sweep: Sweep) -> Columns:
         for name in _EACH_AXIS
     }
     together = values | typed | pairs
-    return {name: together[name] for name in _NAMES}
+    return {name: together[name] for name in COLUMNS}
 
 
 def _narrowed(counts: NDArray[np.int32]) -> NDArray[Any]:
@@ -131,18 +164,18 @@ def _narrowed(counts: NDArray[np.int32]) -> NDArray[Any]:
 def _unpacked(data: bytes) -> Columns:
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         members = archive.infolist()
-        wanted = [f"{name}.npy" for name in _NAMES]
+        wanted = [f"{name}.npy" for name in COLUMNS]
         if [each.filename for each in members] != wanted:
             raise ValueError("the columns are not those of a slice")
         if any(each.compress_type != zipfile.ZIP_STORED or each.flag_bits & 1 for each in members):
             raise ValueError("damaged archive: a column is compressed or encrypted")
         if any(each.file_size > len(data) for each in members):
             raise ValueError("damaged archive: a column is longer than the file")
-        return {name: _array(archive.read(f"{name}.npy")) for name in _NAMES}
+        return {name: column_of(archive.read(f"{name}.npy")) for name in COLUMNS}
 
 
-def _array(data: bytes) -> NDArray[Any]:
-    """View the bytes of one .npy as its array, read-only; the zip has checked them."""
+def column_of(data: bytes) -> NDArray[Any]:
+    """View the proven bytes of one .npy as its array, read-only; raises as `decode_sweep`."""
     stream = io.BytesIO(data)
     if npy.read_magic(stream) != (1, 0):
         raise ValueError("a column is no .npy of version 1.0")
