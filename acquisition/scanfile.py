@@ -72,14 +72,14 @@ class ScanFolder:
             Something is there; it is left as it is.
         StorageFailed, ScanInUse
         """
-        _refuse_rest(path)
+        _refuse_what_is_there(path)
         with storage(path, "creating the scan"):
             new = [each for each in (path, *path.parents) if not each.exists()]
             (path / SLICES).mkdir(parents=True, exist_ok=True)
             lock = FolderLock(path)
         with ExitStack() as undo:
             undo.callback(lock.release)
-            _refuse_rest(path)
+            _refuse_what_is_there(path)
             with storage(path, "creating the scan"):
                 write_whole(path / SPARE, encode_record(record))
                 write_whole(path / RECORD, encode_record(record))
@@ -132,7 +132,10 @@ class ScanFolder:
         except FileNotFoundError as absent:
             raise NotAScan(f"{self.path}: no {RECORD} there; is it a .scan folder?") from absent
         except OSError as unread:
-            raise NotAScan(f"{self.path}: {RECORD} cannot be read: {unread.strerror}") from unread
+            raise NotAScan(
+                f"{self.path}: {RECORD} cannot be read: {unread.strerror}; may you read it, and is"
+                " the disk sound? if not, copy the folder to another disk"
+            ) from unread
         except ValueError as bad:
             raise NotAScan(
                 f"{self.path}: {bad}; mend it: loftscan scans repair {self.path}"
@@ -140,7 +143,9 @@ class ScanFolder:
 
     def indices(self) -> tuple[int, ...]:
         """Indices of the slices that are there, increasing."""
-        names = (_NAME.fullmatch(each.name) for each in (self.path / SLICES).glob("*.npz"))
+        with storage(self.path, "listing the slices"):
+            files = list((self.path / SLICES).glob("*.npz"))
+        names = (_NAME.fullmatch(each.name) for each in files)
         return tuple(sorted(int(name[1]) for name in names if name))
 
     def missing(self) -> tuple[int, ...]:
@@ -335,14 +340,15 @@ class ScanWriter:
         self._broken = False
 
 
-def _refuse_rest(path: Path) -> None:
+def _refuse_what_is_there(path: Path) -> None:
     """Refuse a folder that holds more than a creation that was cut short leaves."""
     if not path.exists():
         return
     if not path.is_dir():
         raise FileExistsError(f"{path} is a file; choose another name")
-    rests = {path / SLICES, path / LOCK, path / SPARE, *temporary(path)}
-    found = [*(each for each in path.iterdir() if each not in rests), *path.glob(f"{SLICES}/*")]
+    with storage(path, "looking what is there"):
+        rests = {path / SLICES, path / LOCK, path / SPARE, *temporary(path)}
+        found = [*(each for each in path.iterdir() if each not in rests), *path.glob(f"{SLICES}/*")]
     if found:
         there = found[0].relative_to(path)
         raise FileExistsError(f"{path}: {there} is there; resume that scan or choose another name")
