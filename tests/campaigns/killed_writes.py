@@ -62,7 +62,10 @@ def judge(path: Path, told: tuple[int, ...], slices: int, tally: Tally, case: st
     tally.twice += len(told) - len(set(told))
     if not (path / "scan.json").exists():
         tally.lost += len(told)
-        ScanFolder.create(path, record(slices)).close()  # killed before there was a scan
+        try:
+            ScanFolder.create(path, record(slices)).close()  # killed before there was a scan
+        except FileExistsError as rest:
+            tally.wrong.append(f"{case}: {rest}")
         return
     try:
         folder = ScanFolder.open(path)
