@@ -32,6 +32,7 @@ _MEANING = (
     *("stage.family", "stage.pulses_per_turn", "stage.screw_lead_mm", "stage.microsteps_per_mm"),
     *("table.turning", "stage.steps_per_mm"),
     *("stage.home_mark", "stage.home_way", "stage.home_position_mm"),
+    *("name", "profiler.family", "profiler.x_mm_per_count", "profiler.z_mm_per_count"),
 )
 
 
