@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import zipfile
 
@@ -85,6 +86,28 @@ def test_numpy_alone_reads_a_slice_file_as_the_document_says() -> None:
 def test_decoded_arrays_are_read_only() -> None:
     one = decode_sweep(encode_sweep(sweep(1))).profiles[0]
     assert not any(a.flags.writeable for a in (one.counts, one.reasons, one.intensity))
+
+
+def naive_encoding(taken: Sweep) -> bytes:
+    """The same file by zipfile and numpy, the libraries that everybody reads it with."""
+    stream, whole = io.BytesIO(encode_sweep(taken)), io.BytesIO()
+    with zipfile.ZipFile(stream) as source, zipfile.ZipFile(whole, "w") as made:
+        for name in source.namelist():
+            member = io.BytesIO()
+            column = np.lib.format.read_array(io.BytesIO(source.read(name)), allow_pickle=False)
+            np.lib.format.write_array(member, column, version=(1, 0), allow_pickle=False)
+            made.writestr(zipfile.ZipInfo(name), member.getvalue())
+        made.comment = bytes(71)
+    data = whole.getvalue()[:-71]
+    return data + b"sha256:" + hashlib.sha256(data).hexdigest().encode()
+
+
+@pytest.mark.parametrize(("profiles", "points"), [(0, 0), (1, 1), (3, 8), (40, 500)])
+def test_the_archive_is_the_one_that_zipfile_would_write(profiles: int, points: int) -> None:
+    taken = sweep(2, profiles, points)
+    assert encode_sweep(taken) == naive_encoding(taken)
+    with zipfile.ZipFile(io.BytesIO(encode_sweep(taken))) as archive:
+        assert archive.testzip() is None
 
 
 @pytest.mark.parametrize("bit", range(8))
