@@ -10,6 +10,7 @@
     ├── NotNow                    the station's state does not allow it; nothing was begun
     ├── InputTripped              emergency stop, interlock or key: a person leads out of it
     ├── GuardLost                 the process that would turn the laser off is gone: nothing is lit
+    ├── NotAsKept                 a slice taken again is not the kept one: another part, a lost axis
     ├── ZeroLost                  only a person can find the table's angle again
     └── LeaseLapsed               the laser was on and nobody renewed: it is off again
 
@@ -49,6 +50,10 @@ class Stopped(AcquisitionError):  # noqa: N818
 
 class ZeroLost(AcquisitionError):  # noqa: N818
     """The angles of the slices that are kept cannot be found again without a person."""
+
+
+class NotAsKept(AcquisitionError):  # noqa: N818
+    """A kept slice was taken again and differs: another part, or an axis lost its place."""
 
 
 class NotNow(AcquisitionError):  # noqa: N818

@@ -15,8 +15,10 @@ as a slow disk, holds the scan up there: that is a pause, after a minute of whic
 announced anew. The laser's own way out is
 `open_station`, whose block stands around the loop that takes the sweeps.
 
-An axis that is not homed is homed first. Not so a table whose zero is software when a scan is
-resumed: homing it makes its present angle 0, and the slices would be turned against those kept.
+An axis that is not homed is homed first; when a scan is resumed, every axis that has a reference of
+its own is, and a kept slice may be taken `again` before the others. Not so a table whose zero is
+software when a scan is resumed: homing it makes its present angle 0, and the slices would be turned
+against those kept.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ from acquisition.poses import Pose, Sweep
 from acquisition.profilers import lost_profile
 from acquisition.safety.leading import arm, begin_homing, homed, known, resume
 from acquisition.safety.states import Event, State
-from acquisition.station import GrblTable, TableZero
+from acquisition.station import GrblTable, HomeMark, LeadshineStage, TableZero
 from drivers.axis import Axis, AxisState, Motion
 from drivers.errors import NoReply, Refused
 from drivers.profiler import Profile, Reason
@@ -113,6 +115,7 @@ def scan(
     *,
     stop: StopRequest,
     indices: Collection[int] | None = None,
+    again: int | None = None,
     part: PartStands = PartStands.ANYWHERE,
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> Generator[Sweep]:
@@ -122,6 +125,8 @@ def scan(
     ----------
     indices
         Of the slices to take, as `ScanFolder.missing` gives them to a resume; all when absent.
+    again
+        A kept slice, taken and yielded before them, for a comparison; no progress is told of it.
     part
         Needed to resume with a software zero: the table is homed where it stands.
 
@@ -139,10 +144,13 @@ def scan(
     check_plan(plan, station.settings)
     whole = range(plan.ring.count)
     wanted = sorted(set(whole if indices is None else indices))
-    if unknown := [index for index in wanted if index not in whole]:
+    first = [] if again is None else [again]
+    if unknown := [index for index in (*first, *wanted) if index not in whole]:
         raise ValueError(f"plan: it has the slices 0 to {whole[-1]}, no slice {unknown[0]}")
-    taken = [target for target in targets(plan) if target.index in set(wanted)]
-    return _Scan(station, plan, stop, part, progress).sweeps(taken)
+    by_index = {target.index: target for target in targets(plan)}
+    taken = [by_index[index] for index in (*first, *wanted)] if wanted else []
+    run = _Scan(station, plan, stop, part, progress)
+    return run.sweeps(taken, len(first), resumed=len(wanted) < len(whole))
 
 
 class _Scan:
@@ -167,8 +175,8 @@ class _Scan:
         self._lost_profiles = 0
         self._lost_in_a_row = 0
 
-    def sweeps(self, wanted: list[Target]) -> Generator[Sweep]:
-        """Take them, one after the other; the state machine is told of all that happens."""
+    def sweeps(self, wanted: list[Target], known: int, *, resumed: bool) -> Generator[Sweep]:
+        """Take them, the first `known` for comparison; the state machine is told of all."""
         safety = self._station.safety
         try:
             for done, target in enumerate(wanted):
@@ -177,10 +185,10 @@ class _Scan:
                 with at_rest_unless_done(self._station):
                     self._look()
                     if not done:
-                        self._prepare(resumed=len(wanted) < self._plan.ring.count)
+                        self._prepare(resumed=resumed)
                     elif safety.state is State.PAUSED:
                         resume(self._station, self._pause)
-                    sweep = self._sweep(target, done, len(wanted))
+                    sweep = self._sweep(target, done - known, len(wanted) - known)
                 if done == len(wanted) - 1:
                     # What this asks for was done with the slice: dark, read back, and standing.
                     safety.tell(Event.COMPLETE)
@@ -218,7 +226,7 @@ class _Scan:
             self._must_know_the_zero()
         begin_homing(station)
         for axis in (station.stage, station.table):
-            if not axis.state().homed:
+            if not axis.state().homed or (resumed and self._has_reference(axis)):
                 axis.home(self._pause)
         homed(station)
         station.safety.ask(Event.VALIDATE)
@@ -234,6 +242,13 @@ class _Scan:
                 "table: its software zero is forgotten, so that new slices would be turned against"
                 " those kept; turn it back to where the scan began and say so, or scan anew"
             )
+
+    def _has_reference(self, axis: Axis) -> bool:
+        """Whether homing finds the same place again, and not the one where it stands."""
+        table, stage = self._station.settings.table, self._station.settings.stage
+        if axis is self._station.table:
+            return not (isinstance(table, GrblTable) and table.zero is TableZero.SOFTWARE_ZERO)
+        return not (isinstance(stage, LeadshineStage) and stage.home_mark is HomeMark.HERE)
 
     def _bring_to_rest(self, axis: Axis) -> None:
         """Stop what a program that died may have left moving."""
@@ -261,7 +276,8 @@ class _Scan:
                 profiles.append(self._profile())
                 poses.append(self._pose())
             lost = self._lost_profiles
-            self._progress(Progress(target.index, done, slices, number, stops, lost))
+            if done >= 0:
+                self._progress(Progress(target.index, done, slices, number, stops, lost))
         self._station.table.move_to(0.0, self._pause)
         return Sweep(target.index, tuple(profiles), tuple(poses))
 

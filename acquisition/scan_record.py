@@ -47,13 +47,12 @@ class ScanRecord:
 
 def calibration_hash(calibration: Kinematics) -> str:
     """SHA-256 of a calibration's canonical JSON, in hex."""
-    text = json.dumps(as_table(calibration), sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
+    return _hash(as_table(calibration))
 
 
 def encode_record(record: ScanRecord) -> bytes:
     """Give the bytes of scan.json."""
-    document = {
+    document: dict[str, object] = {
         "format": _FORMAT,
         "version": _VERSION,
         "unit": "mm",
@@ -69,6 +68,7 @@ def encode_record(record: ScanRecord) -> bytes:
         "plan": as_table(record.plan),
         "station": as_table(record.station),
     }
+    document["sha256"] = _hash(document)
     return (json.dumps(document, indent=2, ensure_ascii=False) + "\n").encode()
 
 
@@ -78,8 +78,8 @@ def decode_record(data: bytes) -> ScanRecord:
     Raises
     ------
     ValueError
-        Not JSON, of another format or version, a key missing or wrong, a calibration that does
-        not have its hash.
+        Not JSON, of another format or version, a key missing or wrong; it or its calibration does
+        not have its hash. Older files have no hash of the whole.
     """
     try:
         document = json.loads(data)
@@ -90,7 +90,7 @@ def decode_record(data: bytes) -> ScanRecord:
     calibration = read_table(Kinematics, kept["values"], "scan.json", "calibration.values")
     if calibration_hash(calibration) != kept["sha256"]:
         raise ValueError("scan.json: calibration.values: do not have the hash beside them")
-    return ScanRecord(
+    record = ScanRecord(
         station=read_table(Station, document["station"], "scan.json", "station"),
         plan=read_table(Plan, document["plan"], "scan.json", "plan"),
         calibration=calibration,
@@ -98,6 +98,16 @@ def decode_record(data: bytes) -> ScanRecord:
         created=str(document["created"]),
         state=State(document["state"]),
     )
+    rest = {key: value for key, value in document.items() if key != "sha256"}
+    if document.get("sha256", _hash(rest)) != _hash(rest):
+        raise ValueError("scan.json: it does not have the sha256 that it was written with")
+    return record
+
+
+def _hash(table: Mapping[str, object]) -> str:
+    """SHA-256 of a table's canonical JSON, in hex."""
+    text = json.dumps(table, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _check_head(document: object) -> None:

@@ -3,6 +3,7 @@
 ::
 
     NAME.scan/  scan.json               record and state (docs/scan-folder.md)
+                scan.spare.json         the same as it was at the start: for a repair
                 slices/000000.npz       one sweep each: whole or not there
                 slices/000007.npz.damaged       set aside, never deleted
                 slices/.000008.npz.part         under work; nobody reads it
@@ -15,6 +16,8 @@ on the disk.
 
 from __future__ import annotations
 
+import errno
+import os
 import re
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
@@ -28,11 +31,10 @@ from acquisition.errors import AlreadyKept, DamagedSlice, NotAScan, StorageFaile
 from acquisition.folder_lock import LOCK, FolderLock
 from acquisition.poses import Sweep
 from acquisition.scan_record import ScanRecord, State, decode_record, encode_record
-from acquisition.sweep_codec import decode_sweep, encode_sweep
+from acquisition.sweep_codec import decode_sweep, encode_sweep, has_checksum
 
 POLL_S = 0.02  # how long `follow` asks for in one pause
-_RECORD = "scan.json"
-_SLICES = "slices"
+RECORD, SPARE, SLICES = "scan.json", "scan.spare.json", "slices"
 _NAME = re.compile(r"(\d{6,})\.npz")
 
 
@@ -51,6 +53,7 @@ class Verification:
     sound: tuple[int, ...]
     damaged: tuple[Damage, ...]
     missing: tuple[int, ...]  # of the plan's indices; a damaged slice is missing, too
+    unchecked: tuple[int, ...] = ()  # of the sound: older files, which have no checksum
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,16 +72,17 @@ class ScanFolder:
             Something is there; it is left as it is.
         StorageFailed, ScanInUse
         """
-        _refuse_rest(path)
+        _refuse_what_is_there(path)
         with storage(path, "creating the scan"):
             new = [each for each in (path, *path.parents) if not each.exists()]
-            (path / _SLICES).mkdir(parents=True, exist_ok=True)
+            (path / SLICES).mkdir(parents=True, exist_ok=True)
             lock = FolderLock(path)
         with ExitStack() as undo:
             undo.callback(lock.release)
-            _refuse_rest(path)
+            _refuse_what_is_there(path)
             with storage(path, "creating the scan"):
-                write_whole(path / _RECORD, encode_record(record))
+                write_whole(path / SPARE, encode_record(record))
+                write_whole(path / RECORD, encode_record(record))
                 for each in new:
                     sync_folder(each.parent)
             undo.pop_all()
@@ -124,17 +128,24 @@ class ScanFolder:
         NotAScan
         """
         try:
-            return decode_record((self.path / _RECORD).read_bytes())
+            return decode_record((self.path / RECORD).read_bytes())
         except FileNotFoundError as absent:
-            raise NotAScan(f"{self.path}: no {_RECORD} there; is it a .scan folder?") from absent
+            raise NotAScan(f"{self.path}: no {RECORD} there; is it a .scan folder?") from absent
         except OSError as unread:
-            raise NotAScan(f"{self.path}: {_RECORD} cannot be read: {unread.strerror}") from unread
+            raise NotAScan(
+                f"{self.path}: {RECORD} cannot be read: {unread.strerror}; may you read it, and is"
+                " the disk sound? if not, copy the folder to another disk"
+            ) from unread
         except ValueError as bad:
-            raise NotAScan(f"{self.path}: {bad}; restore the file from a copy") from bad
+            raise NotAScan(
+                f"{self.path}: {bad}; mend it: loftscan scans repair {self.path}"
+            ) from bad
 
     def indices(self) -> tuple[int, ...]:
         """Indices of the slices that are there, increasing."""
-        names = (_NAME.fullmatch(each.name) for each in (self.path / _SLICES).glob("*.npz"))
+        with storage(self.path, "listing the slices"):
+            files = list((self.path / SLICES).glob("*.npz"))
+        names = (_NAME.fullmatch(each.name) for each in files)
         return tuple(sorted(int(name[1]) for name in names if name))
 
     def missing(self) -> tuple[int, ...]:
@@ -154,31 +165,33 @@ class ScanFolder:
         StorageFailed
             The disk does not give it back.
         """
-        file = self.file(index)
-        if not file.exists():
-            raise FileNotFoundError(f"{file} is not there; resume the scan to take it")
-        with storage(self.path, f"reading slice {index}"):
-            data = file.read_bytes()
-        try:
-            sweep = decode_sweep(data)
-            if sweep.index != index:
-                raise ValueError(f"it holds slice {sweep.index}")  # noqa: TRY301 (one message for all)
-        except ValueError as bad:
-            raise DamagedSlice(f"{file}: {bad}; resume the scan to take the slice again") from bad
-        return sweep
+        return self._decoded(index, self._bytes(index))
 
     def verify(self) -> Verification:
         """Read every slice in full: checksums, counts, names."""
         sound: list[int] = []
+        unchecked: list[int] = []
         damaged: list[Damage] = []
         for index in self.indices():
-            try:
-                self.read(index)
-                sound.append(index)
-            except DamagedSlice as bad:
-                damaged.append(Damage(self.file(index), str(bad.__cause__)))
-        missing = (index for index in self.record().indices if index not in set(sound))
-        return Verification(tuple(sound), tuple(damaged), tuple(missing))
+            if (why := self.damage_of(index)) is not None:
+                damaged.append(Damage(self.file(index), why))
+                continue
+            sound.append(index)
+            if not has_checksum(self.file(index).read_bytes()):
+                unchecked.append(index)
+        there = set(sound)
+        missing = (index for index in self.record().indices if index not in there)
+        return Verification(tuple(sound), tuple(damaged), tuple(missing), tuple(unchecked))
+
+    def damage_of(self, index: int) -> str | None:
+        """Say why a slice that is there cannot be read; None when it can."""
+        try:
+            self.read(index)
+        except DamagedSlice as bad:
+            return str(bad.__cause__)
+        except StorageFailed as unread:
+            return f"the disk does not give it back ({os.strerror(unread.errno or errno.EIO)})"
+        return None
 
     def follow(self, pause: Callable[[float], None], stop: Callable[[], bool]) -> Iterator[Sweep]:
         """Yield the slices in the order of their indices, as they appear.
@@ -205,15 +218,34 @@ class ScanFolder:
 
     def file(self, index: int) -> Path:
         """Where a slice is, or would be."""
-        return self.path / _SLICES / f"{index:06d}.npz"
+        return self.path / SLICES / f"{index:06d}.npz"
+
+    def _bytes(self, index: int) -> bytes:
+        file = self.file(index)
+        with storage(self.path, f"reading slice {index}"):
+            try:
+                return file.read_bytes()
+            except FileNotFoundError as absent:
+                message = f"{file} is not there; resume the scan to take it"
+                raise FileNotFoundError(message) from absent
+
+    def _decoded(self, index: int, data: bytes) -> Sweep:
+        try:
+            sweep = decode_sweep(data)
+            if sweep.index != index:
+                raise ValueError(f"it holds slice {sweep.index}")  # noqa: TRY301 (one message for all)
+        except ValueError as bad:
+            message = f"{self.file(index)}: {bad}; resume the scan to take the slice again"
+            raise DamagedSlice(message) from bad
+        return sweep
 
     def _tidied(self) -> tuple[Damage, ...]:
-        for rest in (*temporary(self.path), *temporary(self.path / _SLICES)):
+        for rest in (*temporary(self.path), *temporary(self.path / SLICES)):
             rest.unlink()
         aside = tuple(
-            Damage(_set_aside(damage.file), damage.why) for damage in self.verify().damaged
+            Damage(set_aside(damage.file), damage.why) for damage in self.verify().damaged
         )
-        sync_folder(self.path / _SLICES)
+        sync_folder(self.path / SLICES)
         return aside
 
 
@@ -290,8 +322,8 @@ class ScanWriter:
     def mark(self, state: State) -> None:
         """Write the state into scan.json."""
         marked = replace(self._record, state=state)
-        with storage(self.folder.path, f"writing {_RECORD}"):
-            write_whole(self.folder.path / _RECORD, encode_record(marked))
+        with storage(self.folder.path, f"writing {RECORD}"):
+            write_whole(self.folder.path / RECORD, encode_record(marked))
         self._record = marked
 
     def close(self) -> None:
@@ -308,21 +340,27 @@ class ScanWriter:
         self._broken = False
 
 
-def _refuse_rest(path: Path) -> None:
+def _refuse_what_is_there(path: Path) -> None:
     """Refuse a folder that holds more than a creation that was cut short leaves."""
     if not path.exists():
         return
     if not path.is_dir():
         raise FileExistsError(f"{path} is a file; choose another name")
-    rests = {path / _SLICES, path / LOCK, *temporary(path)}
-    found = [*(each for each in path.iterdir() if each not in rests), *path.glob(f"{_SLICES}/*")]
+    with storage(path, "looking what is there"):
+        rests = {path / SLICES, path / LOCK, path / SPARE, *temporary(path)}
+        found = [*(each for each in path.iterdir() if each not in rests), *path.glob(f"{SLICES}/*")]
     if found:
         there = found[0].relative_to(path)
         raise FileExistsError(f"{path}: {there} is there; resume that scan or choose another name")
 
 
-def _set_aside(file: Path) -> Path:
-    """Rename a damaged slice so that it is kept and counts as missing."""
-    names = (file.with_name(f"{file.name}.damaged{end}") for end in ("", *range(2, 1_000_000)))
-    free = next(each for each in names if not each.exists())
-    return file.rename(free)
+def set_aside(file: Path) -> Path:
+    """Rename a damaged file so that it is kept and counts as missing."""
+    return file.rename(name_aside(file))
+
+
+def name_aside(file: Path) -> Path:
+    """A free name for a damaged file."""
+    stem = file.name.lstrip(".")  # what is set aside is not hidden
+    names = (file.with_name(f"{stem}.damaged{end}") for end in ("", *range(2, 1_000_000)))
+    return next(each for each in names if not each.exists())

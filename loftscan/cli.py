@@ -18,6 +18,7 @@ from loftscan.commands.demo import demo
 from loftscan.commands.devices import devices
 from loftscan.commands.reconstruct import reconstruct
 from loftscan.commands.scanning import scan
+from loftscan.commands.scans import app as scans
 from loftscan.commands.section import section
 from loftscan.commands.simulating import SETTINGS, sim
 from loftscan.commands.station import init
@@ -55,6 +56,7 @@ def _about(
 for each in (demo, init, devices, home, jog, stop, profile, scan, reconstruct, section, compare):
     app.command()(each)
 app.command(context_settings=SETTINGS)(sim)
+app.add_typer(scans, name="scans", context_settings={"help_option_names": ["-h", "--help"]})
 
 
 def main() -> None:

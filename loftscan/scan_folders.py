@@ -20,7 +20,7 @@ from acquisition.errors import StorageFailed
 from acquisition.folder_lock import LOCK
 from acquisition.plan import Estimate, Plan, check_plan, estimate
 from acquisition.scan_record import ScanRecord
-from acquisition.scanfile import ScanFolder, ScanWriter
+from acquisition.scanfile import SLICES, SPARE, ScanFolder, ScanWriter
 from acquisition.settings import as_table
 from acquisition.station import Station
 
@@ -32,6 +32,7 @@ _MEANING = (
     *("stage.family", "stage.pulses_per_turn", "stage.screw_lead_mm", "stage.microsteps_per_mm"),
     *("table.turning", "stage.steps_per_mm"),
     *("stage.home_mark", "stage.home_way", "stage.home_position_mm"),
+    *("name", "profiler.family", "profiler.x_mm_per_count", "profiler.z_mm_per_count"),
 )
 
 
@@ -103,7 +104,7 @@ def _refuse_rest(out: Path) -> None:
     if out.is_file():
         raise ValueError(f"{out}: is a file; name another --out")
     # A program that was killed before scan.json was there leaves these; the writer takes them over.
-    rests = {out / "slices", out / LOCK, *temporary(out)}
+    rests = {out / SLICES, out / LOCK, out / SPARE, *temporary(out)}
     found = [*(each for each in out.glob("*") if each not in rests), *out.glob("slices/*")]
     if found:
         raise ValueError(f"{out}: is there and holds {found[0].name}, no scan; name another --out")

@@ -7,6 +7,7 @@ on the disk, and at last ``done`` or ``paused``.
 from __future__ import annotations
 
 import json
+import math
 import os
 import time
 from collections.abc import Callable, Mapping
@@ -18,6 +19,7 @@ from typing import TextIO
 import numpy as np
 
 from acquisition.frames import Kinematics
+from acquisition.loop_closure import Closure, in_words
 from acquisition.poses import Sweep
 from acquisition.safety.promises import promise_of_guard
 from acquisition.scan import Progress, StopRequest, Wish
@@ -123,6 +125,19 @@ class ScanTeller:
                 f" stop {progress.stops_done} of {progress.stops}"
                 + self._how(Pace(self._clock() - self._begun_s, done, progress.slices))
             )
+
+    def compared(self, closure: Closure) -> None:
+        """Tell how a kept slice that was taken again lies to it."""
+        if self._manner is Manner.JSON:
+            turned = closure.turned_rad
+            self._say(
+                event="closure", index=closure.index, agrees=closure.agrees,
+                difference_mm=None if math.isnan(closure.difference_mm) else closure.difference_mm,
+                noise_mm=closure.noise_mm, limit_mm=closure.limit_mm, overlap=closure.overlap,
+                turned_deg=None if turned is None else math.degrees(turned),
+            )  # fmt: skip
+        else:
+            self._print(in_words(closure))
 
     def kept(self, sweep: Sweep) -> None:
         """Tell that a slice is safe on the disk."""

@@ -18,9 +18,11 @@ from typing import Self
 
 from acquisition.errors import Stopped
 from acquisition.frames import Kinematics
+from acquisition.loop_closure import Closure
 from acquisition.opening import OpenStation
 from acquisition.plan import Plan, check_plan, read_plan
 from acquisition.poses import Sweep
+from acquisition.resuming import take_missing
 from acquisition.safety.leading import known
 from acquisition.safety.promises import Attendance, must_be_attended
 from acquisition.scan import PartStands, Progress, StopRequest, Wish
@@ -93,6 +95,7 @@ def scan(
     part: PartStands = PartStands.ANYWHERE,
     attendance: Attendance = Attendance.NOBODY,
     progress: Callable[[Progress], None] = lambda _: None,
+    compared: Callable[[Closure], None] = lambda _: None,
 ) -> Scan:
     """Scan a plan, slice by slice.
 
@@ -111,6 +114,8 @@ def scan(
         Whether somebody stays at the station: needed for a laser that no watchdog turns off.
     progress
         Told after every stop of the table.
+    compared
+        Told how a kept slice, taken again by a resume, lies to it.
 
     Raises
     ------
@@ -124,22 +129,21 @@ def scan(
     station.devices.safety.attend(attended=attendance is Attendance.PRESENT)
     stop = StopRequest()
 
-    def taken(missing: tuple[int, ...] | None) -> Generator[Sweep]:
-        return take(
-            station.devices, wanted, stop=stop, indices=missing, part=part, progress=progress
-        )
-
     station.end_work()
     with ExitStack() as keeping:
         if out is None:
             if resume:
                 raise ValueError("resume needs out, the .scan folder to go on with")
-            sweeps = taken(None)
+            sweeps = take(station.devices, wanted, stop=stop, part=part, progress=progress)
         else:
             here = prospect(station.settings, wanted, Path(out), resume=resume, plan_name=name)
             with station.attention.at_work(stop):
                 writer = keeping.enter_context(begin(here, station.devices, stop))
-            sweeps = _kept(taken(writer.folder.missing()), writer)
+            missing = take_missing(
+                station.devices, wanted, writer.folder, stop=stop, part=part,
+                progress=progress, compared=compared,
+            )  # fmt: skip
+            sweeps = _kept(missing, writer)
         kinematics = station.settings.kinematics
         made = Scan(sweeps, wanted, kinematics, stop, station.attention, keeping.pop_all())
     station.begin(made)

@@ -31,9 +31,13 @@ if ! { has_library GL && has_library OpenGL; }; then
     fi
 fi
 
-# An independent Modbus master for the tests; nothing else needs it.
+# An independent Modbus master and a tracer that fails and kills for the tests; nothing else needs
+# them.
 if ! command -v mbpoll >/dev/null && ! { may_install && install mbpoll; }; then
     echo "note: the tests that ask with mbpoll will be skipped: apt-get install mbpoll" >&2
+fi
+if ! command -v strace >/dev/null && ! { may_install && install strace; }; then
+    echo "note: the tests that kill at every write will be skipped: apt-get install strace" >&2
 fi
 
 [ -x "$venv/bin/python" ] || "$python" -m venv "$venv"

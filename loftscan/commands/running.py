@@ -57,6 +57,7 @@ def _exit_code(error: BaseException) -> int:
         InputTripped,
         LeaseLapsed,
         NotAScan,
+        NotAsKept,
         NotNow,
         Stopped,
         ZeroLost,
@@ -67,7 +68,7 @@ def _exit_code(error: BaseException) -> int:
     # In this order: some are an OSError or a ValueError as well.
     codes: tuple[tuple[int, tuple[type[BaseException], ...]], ...] = (
         (3, (KeyboardInterrupt, Stopped)),
-        (4, (DriverError, GuardLost, InputTripped, LeaseLapsed, NotNow, ZeroLost)),
+        (4, (DriverError, GuardLost, InputTripped, LeaseLapsed, NotAsKept, NotNow, ZeroLost)),
         (2, (UnreadableCloud, TooFewPoints, NotAScan, DamagedSlice)),
         (1, (ReconstructionError, OSError, MemoryError)),
         (2, (ValueError,)),

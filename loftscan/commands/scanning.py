@@ -94,8 +94,8 @@ def _take(
 ) -> None:
     """Open the station, take what is missing, keep it; at rest and closed on every way out."""
     from acquisition.opening import open_station
+    from acquisition.resuming import take_missing
     from acquisition.safety.promises import Attendance, must_be_attended
-    from acquisition.scan import scan
     from acquisition.scan_record import State
     from loftscan.scanning import begin
 
@@ -107,10 +107,9 @@ def _take(
         with begin(here, devices, stop) as writer:
             for damage in writer.set_aside:
                 teller.note(f"{damage.file}: set aside ({damage.why}); the slice is taken again")
-            indices = writer.folder.missing()
-            for sweep in scan(
-                devices, here.plan, stop=stop, indices=indices, part=part,
-                progress=teller.stopped_at,
+            for sweep in take_missing(
+                devices, here.plan, writer.folder, stop=stop, part=part,
+                progress=teller.stopped_at, compared=teller.compared,
             ):  # fmt: skip
                 writer.append(sweep)
                 teller.kept(sweep)

@@ -113,6 +113,18 @@ def test_an_edited_calibration_does_not_pass_for_the_one_that_was_used(path: Pat
         ScanFolder.open(path)
 
 
+def test_an_edited_plan_does_not_pass_for_the_one_that_was_scanned(path: Path) -> None:
+    file = written(path, []).path / "scan.json"
+    document = json.loads(file.read_text())
+    document["plan"]["ring"]["step_mm"] = 2.0
+    file.write_text(json.dumps(document))
+    with pytest.raises(NotAScan, match="sha256"):
+        ScanFolder.open(path)
+    del document["sha256"]  # as in a scan.json of before there was one
+    file.write_text(json.dumps(document))
+    assert ScanFolder.open(path).record().plan.ring.step_mm == 2.0
+
+
 def test_a_folder_without_scan_json_is_no_scan(tmp_path: Path) -> None:
     with pytest.raises(NotAScan, match=r"no scan\.json there"):
         ScanFolder.open(tmp_path)

@@ -494,10 +494,13 @@ TIMES = {"time_s", "sensor_time_s", "frame"}
 
 
 def without_times_and_places(record: object) -> object:
-    """A scan.json without when it was made and at which ports."""
+    """A scan.json without when it was made, at which ports, and the hash over both."""
     if not isinstance(record, dict):
         return None if "://" in str(record) else record
-    return {key: without_times_and_places(record[key]) for key in record if key != "created"}
+    kept = [key for key in record if key not in {"created", "sha256"}]
+    return {key: without_times_and_places(record[key]) for key in kept} | {
+        "calibration_sha256": record.get("calibration", {}).get("sha256")
+    }
 
 
 def test_the_same_scan_with_the_same_seed_is_the_same_folder_but_for_times(
