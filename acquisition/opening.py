@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 from acquisition.axes import stage_maker, table_maker
 from acquisition.lease import TTL_S, Lease
 from acquisition.ports import check_ports
+from acquisition.profiler_settings import Hokuyo
 from acquisition.profilers import profiler_maker
 from acquisition.safety.guarding import AttendedLink, Guard, first_word_s, guarded
 from acquisition.safety.places import Place, places_of
@@ -27,7 +28,7 @@ from acquisition.safety.states import Event, Rules, State
 from acquisition.safety.supervising import PermittedLaser, Supervisor
 from acquisition.safety.switches import switch_of
 from acquisition.station import NoLaserSwitch, Station
-from drivers import zaber
+from drivers import hokuyo, zaber
 from drivers.addresses import SerialAddress, TcpAddress, UdpAddress, parse_address
 from drivers.axis import Axis
 from drivers.endings import at_last, unless_done
@@ -100,7 +101,7 @@ def open_station(
     with ExitStack() as endings:
         endings.callback(safety.tell, Event.CLOSE)
         guard = endings.enter_context(guarding(places_of(_addresses(station)), sleep))
-        wires = _Wires(links, clock, sleep, endings, guard, safety, _roles(station))
+        wires = _Wires(links, clock, sleep, endings, guard, safety, station)
         switch, inputs = switch_of(station.laser, wires)
         laser = PermittedLaser(switch, safety)
         endings.enter_context(at_last(laser.off))
@@ -182,7 +183,7 @@ class _Wires:
         endings: ExitStack,
         guard: Guard,
         safety: Supervisor,
-        roles: Mapping[_Address, str],
+        station: Station,
     ) -> None:
         self.clock = clock
         self.guarded: dict[str, float] = {}
@@ -191,11 +192,13 @@ class _Wires:
         self._endings = endings
         self._guard = guard
         self._safety = safety
-        self._roles = roles
+        self._roles = _roles(station)
+        self._station = station
         self._opened: dict[_Address, ByteLink] = {}
         self._recipes: dict[_Address, tuple[Recipe, ...]] = {}
         self._buses: dict[_Address, ModbusBus] = {}
         self._chains: dict[_Address, zaber.Chain] = {}
+        self._scips: dict[_Address, hokuyo.ScipLine] = {}
 
     def sleep(self, seconds: float) -> None:
         """Let some time pass; 50 ms at most between two renewals."""
@@ -220,10 +223,17 @@ class _Wires:
 
     def chain(self, address: str) -> zaber.Chain:
         """A chain of Zaber devices; both axes may be on one."""
-        place = replace(parse_address(address), text="")
+        place = _place(address)
         if place not in self._chains:
             self._chains[place] = zaber.Chain(self.link(address), clock=self.clock)
         return self._chains[place]
+
+    def scip(self, address: str) -> hokuyo.ScipLine:
+        """A Hokuyo scanner's line; a switch-off waits no longer than its longest reply takes."""
+        place = _place(address)
+        if place not in self._scips:
+            self._scips[place] = scip_line(self._station, self.link(address), self.clock)
+        return self._scips[place]
 
     def hand_over(self, device: object, address: str) -> None:
         """Give the guard what it must know of a device to bring it to rest."""
@@ -266,6 +276,14 @@ def _roles(station: Station) -> dict[_Address, str]:
     if not isinstance(station.laser, NoLaserSwitch):
         roles[_place(station.laser.address)] = "laser"
     return roles
+
+
+def scip_line(station: Station, link: ByteLink, clock: Clock) -> hokuyo.ScipLine:
+    """The line of a station's Hokuyo; a switch-off waits behind its longest reply."""
+    if not isinstance(station.profiler, Hokuyo):
+        return hokuyo.ScipLine(link, clock=clock)
+    told = station.profiler.driver_settings
+    return hokuyo.ScipLine(link, longest_reply_s=told.wire_s, baud=told.baud, clock=clock)
 
 
 def _addresses(station: Station) -> list[str]:

@@ -97,6 +97,14 @@ class Layout:
     profiles_port: int = 0
     relay_port: int = 0
 
+    def __post_init__(self) -> None:
+        own = self.laser is LaserWiring.HOKUYO
+        if own != (self.profiler_family is ProfilerFamily.HOKUYO):
+            raise ValueError(
+                f"laser {self.laser.value}, profiler {self.profiler_family.value}: a hokuyo lights"
+                " its own laser and nobody else's; choose hokuyo for both or for neither"
+            )
+
     @property
     def optics(self) -> OpticsSettings:
         """The bench's settings."""
@@ -188,14 +196,18 @@ def connect(
         A port is taken.
     """
     table, stage = _serial_lines(devices, layout, cabling, server, folder)
-    profiler, profiles = connect_profiler(devices.profiler, layout, cabling, server)
+    profiler, profiles = connect_profiler(
+        devices.profiler, layout, cabling, server, folder, devices.laser_cable
+    )
     server.tell_time(devices.relay.tick)  # its watchdog bites whether or not it has a connection
     return Addresses(
         table=table,
         stage=stage,
         profiler=profiler,
         profiles=profiles,
-        laser=_laser_address(devices, layout, cabling, server, folder),
+        laser=profiler
+        if layout.laser is LaserWiring.HOKUYO
+        else _laser_address(devices, layout, cabling, server, folder),
     )
 
 

@@ -16,6 +16,7 @@ from drivers.hokuyo.codes import MISHEARD, OK, status_name
 from drivers.hokuyo.wire import Asked, Dialogue, Reply, fields_of
 from drivers.links import ByteLink
 
+BITS_A_CHARACTER: Final = 10
 REPLY_S: Final = 0.1  # beyond what the line itself takes
 _STEP_S: Final = 0.005
 _LATE_S: Final = 0.02
@@ -30,20 +31,24 @@ class ScipLine:
     ----------
     link : ByteLink
         The port; this line is its only holder, and whoever opened it closes it.
-    wire_s : float
-        What the longest reply takes on the wire, and so the longest that another waits behind it.
+    longest_reply_s : float
+        On the wire, and so the longest that another waits behind it.
+    baud : int
+        Of a real serial line; None on USB, where bytes take no time worth counting.
     """
 
     def __init__(
         self,
         link: ByteLink,
         *,
-        wire_s: float = 0.0,
+        longest_reply_s: float = 0.0,
+        baud: int | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.clock = clock
         self.dialogue = Dialogue()
-        self.reply_s = REPLY_S + wire_s
+        self.reply_s = REPLY_S + longest_reply_s
+        self._baud = baud
         self._link = link
         self._torn = False
 
@@ -51,6 +56,10 @@ class ScipLine:
     def address(self) -> str:
         """The address of the link, for messages."""
         return self._link.address
+
+    def wire_s(self, size: int) -> float:
+        """Seconds that so many bytes take."""
+        return size * BITS_A_CHARACTER / self._baud if self._baud else 0.0
 
     def send(self, command: str) -> Asked:
         """Write a command now; its reply is taken from `dialogue`."""

@@ -25,7 +25,7 @@ import pytest
 from acquisition.plan import read_plan, ring, write_plan
 from acquisition.scan_record import State
 from acquisition.scanfile import ScanFolder
-from acquisition.station import NoLaserSwitch, read_station
+from acquisition.station import HokuyoLaser, NoLaserSwitch, read_station
 from drivers.tiers import TIERS, Tier
 from drivers.wire_log import Direction, read_wire_log
 from loftscan import simulate
@@ -707,10 +707,25 @@ def test_init_writes_a_station_of_these_families(place: Path, table: str, stage:
     assert "PLACEHOLDER" in Path("station.toml").read_text()
 
 
-@pytest.mark.parametrize("profiler", ["baumer_ox", "riftek", "registers", "banner_ez_array"])
+@pytest.mark.parametrize(
+    "profiler", ["baumer_ox", "riftek", "registers", "banner_ez_array", "hokuyo", "sick"]
+)
 def test_init_writes_a_station_with_this_profiler(place: Path, profiler: str) -> None:
     succeeded(run("init", "--profiler-family", profiler))
     assert read_station(Path("station.toml")).profiler.family == profiler
+
+
+def test_init_lets_a_hokuyo_switch_its_own_laser_unless_it_is_told_otherwise(place: Path) -> None:
+    ran = succeeded(run("init", "--profiler-family", "hokuyo"))
+    written = read_station(Path("station.toml"))
+    assert written.laser == HokuyoLaser(address=written.profiler.address)
+    assert "laser.address" in ran.stdout
+    port = "serial:///dev/ttyACM3"
+    words = ("--profiler-family", "hokuyo", "--profiler", port, "--out", "own.toml")
+    assert "laser.address" not in succeeded(run("init", *words)).stdout
+    assert read_station(Path("own.toml")).laser == HokuyoLaser(address=port)
+    succeeded(run("init", *words[:4], "--laser", "none", "--out", "none.toml"))
+    assert read_station(Path("none.toml")).laser == NoLaserSwitch()
 
 
 def test_init_refuses_families_that_it_does_not_know_and_keys_that_are_not_theirs(
