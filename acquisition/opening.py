@@ -22,7 +22,7 @@ from acquisition.lease import TTL_S, Lease
 from acquisition.ports import check_ports
 from acquisition.profiler_settings import Hokuyo
 from acquisition.profilers import profiler_maker
-from acquisition.safety.guarding import AttendedLink, Guard, first_word_s, guarded
+from acquisition.safety.guarding import AttendedLink, Guard, NoGuard, first_word_s, guarded
 from acquisition.safety.places import Place, places_of
 from acquisition.safety.states import Event, Rules, State
 from acquisition.safety.supervising import PermittedLaser, Supervisor
@@ -32,6 +32,7 @@ from drivers import hokuyo, zaber
 from drivers.addresses import SerialAddress, TcpAddress, UdpAddress, parse_address
 from drivers.axis import Axis
 from drivers.endings import at_last, unless_done
+from drivers.inspection import Counted
 from drivers.laser import Guarantee
 from drivers.links import ByteLink, open_link
 from drivers.modbus import Framing, ModbusBus, rtu_silence_s
@@ -101,7 +102,7 @@ def open_station(
     with ExitStack() as endings:
         endings.callback(safety.tell, Event.CLOSE)
         guard = endings.enter_context(guarding(places_of(_addresses(station)), sleep))
-        wires = _Wires(links, clock, sleep, endings, guard, safety, station)
+        wires = Wires(links, clock, sleep, endings, guard, safety, station)
         switch, inputs = switch_of(station.laser, wires)
         laser = PermittedLaser(switch, safety)
         endings.enter_context(at_last(laser.off))
@@ -124,6 +125,22 @@ def open_station(
             station, table, stage, profiler, laser, guarantee, clock, wires.sleep, lease, guard,
             wires.guarded, safety,
         )  # fmt: skip
+
+
+@contextmanager
+def open_wires(
+    station: Station,
+    *,
+    clock: Clock = time.monotonic,
+    sleep: Sleep = time.sleep,
+    links: Callable[[str], ByteLink] = open_link,
+) -> Iterator[Wires]:
+    """A station's wires and nothing more: nothing is said on them, nobody guards.
+
+    For whoever only asks. Links are opened at the first use, and closed with the block.
+    """
+    with ExitStack() as endings:
+        yield Wires(links, clock, sleep, endings, NoGuard(), _supervisor(station, clock), station)
 
 
 @contextmanager
@@ -169,7 +186,7 @@ def _supervisor(station: Station, clock: Clock) -> Supervisor:
     return safety
 
 
-class _Wires:
+class Wires:
     """Each link opened once and closed on the way out; devices at one address share its bus.
 
     Whoever reads or sleeps here is alive: the guard is told.
@@ -234,6 +251,12 @@ class _Wires:
         if place not in self._scips:
             self._scips[place] = scip_line(self._station, self.link(address), self.clock)
         return self._scips[place]
+
+    def counters(self, address: str) -> Mapping[str, int]:
+        """How a line fares that several devices may share; empty where a driver has it alone."""
+        place = _place(address)
+        lines: tuple[Mapping[_Address, Counted], ...] = (self._buses, self._chains, self._scips)
+        return next((each[place].counters() for each in lines if place in each), {})
 
     def hand_over(self, device: object, address: str) -> None:
         """Give the guard what it must know of a device to bring it to rest."""

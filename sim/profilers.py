@@ -93,7 +93,7 @@ def connect_profiler(
 
 
 def _serial(line: Device, server: Server, folder: Path, baud: int) -> str:
-    port = Pty(folder / "profiler")
+    port = Pty(folder / "profiler", baud)
     server.serve_pty(port, line)
     return f"serial://{port.path}?baud={baud}"
 

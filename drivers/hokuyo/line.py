@@ -49,6 +49,7 @@ class ScipLine:
         self.dialogue = Dialogue()
         self.reply_s = REPLY_S + longest_reply_s
         self._baud = baud
+        self._asked = self._timeouts = 0
         self._link = link
         self._torn = False
 
@@ -56,6 +57,15 @@ class ScipLine:
     def address(self) -> str:
         """The address of the link, for messages."""
         return self._link.address
+
+    def counters(self) -> dict[str, int]:
+        """How the line fares; see `drivers.inspection`."""
+        return {
+            "asked": self._asked,
+            "timeouts": self._timeouts,
+            "damaged": self.dialogue.damaged,
+            "late": self.dialogue.strays,
+        }
 
     def wire_s(self, size: int) -> float:
         """Seconds that so many bytes take."""
@@ -109,6 +119,7 @@ class ScipLine:
         """
         damaged = self.dialogue.damaged
         asked = self.send(command)
+        self._asked += 1
         deadline_s = self.clock() + self.reply_s
         try:
             while (reply := self.dialogue.take(asked)) is None:
@@ -126,6 +137,7 @@ class ScipLine:
                 f"hokuyo at {self.address}: heard no {command}, status {reply.status}:"
                 f" {status_name(reply.status)}; check the cable"
             )
+        self._timeouts += 1
         if damaged := self.dialogue.damaged - damaged:
             raise FrameError(
                 f"hokuyo at {self.address}: {damaged} damaged replies and none to {command}; check"

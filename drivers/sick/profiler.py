@@ -97,6 +97,10 @@ class SickProfiler2:
         points = self._points_of(self._line.ask(_size_at(address)))
         return Identity(family="sick", model=f"Profiler 2, {points} points", firmware="")
 
+    def counters(self) -> dict[str, int]:
+        """How the line fares; see `drivers.inspection`."""
+        return self._line.counters()
+
     def profiles(self, timeout_s: float) -> Iterator[Profile]:
         """Yield profiles as they are read.
 

@@ -96,9 +96,9 @@ def test_a_profiler_that_does_not_answer_is_named_before_anything_is_lit(profile
         assert '"laser"' not in station.witness.read_text()
 
 
-# From the first byte to the surface, judged by the simulator on its own triangles. 8 rings of a vase
-# that swings between them gave 0.07 and 0.10 mm; a scale that is off by one percent, or x mirrored,
-# would be 0.3 mm or more on a radius of 30.
+# From the first byte to the surface, judged by the simulator on its own triangles. 8 rings of a
+# vase that swings between them gave 0.07 and 0.10 mm; a scale that is off by one percent, or x
+# mirrored, would be 0.3 mm or more on a radius of 30.
 SURFACE_RMS_MM = 0.2
 
 
