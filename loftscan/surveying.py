@@ -214,7 +214,11 @@ def _ports_here(why: str) -> str:
     """Which ports there are, for somebody whose port is not there."""
     if NO_PORT not in why:
         return ""
-    names = [f"{each.device} ({each.description})" for each in ports()]
+    nameless = ("", "n/a")
+    names = [
+        each.device if each.description in nameless else f"{each.device} ({each.description})"
+        for each in ports()
+    ]
     return f" here are {', '.join(names)}" if names else ""
 
 

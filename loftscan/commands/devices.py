@@ -28,7 +28,7 @@ def devices(
     json_lines: JsonLines = False,
     debug: Debug = False,
 ) -> None:
-    """Say what is there, who holds it, and how to fix the rest; only asks, changes nothing."""
+    """Say what is there, who holds it, and how to fix the rest."""
 
     def work() -> None:
         if station is None:
