@@ -20,18 +20,20 @@ from dataclasses import dataclass, replace
 from acquisition.axes import stage_maker, table_maker
 from acquisition.lease import TTL_S, Lease
 from acquisition.ports import check_ports
+from acquisition.profiler_settings import Hokuyo
 from acquisition.profilers import profiler_maker
-from acquisition.safety.guarding import AttendedLink, Guard, first_word_s, guarded
+from acquisition.safety.guarding import AttendedLink, Guard, NoGuard, first_word_s, guarded
 from acquisition.safety.places import Place, lock_all, places_of
 from acquisition.safety.resting import Line, Rest
 from acquisition.safety.states import Event, Rules, State
 from acquisition.safety.supervising import PermittedLaser, Supervisor
 from acquisition.safety.switches import switch_of
 from acquisition.station import NoLaserSwitch, Station
-from drivers import zaber
+from drivers import hokuyo, zaber
 from drivers.addresses import SerialAddress, TcpAddress, UdpAddress, parse_address
 from drivers.axis import Axis
 from drivers.endings import at_last, unless_done
+from drivers.inspection import Counted
 from drivers.laser import Guarantee
 from drivers.links import ByteLink, open_link
 from drivers.modbus import Framing, ModbusBus, rtu_silence_s
@@ -105,7 +107,7 @@ def open_station(
         endings.callback(safety.tell, Event.CLOSE)
         guard = endings.enter_context(guarding(places_of(_addresses(station)), sleep))
         doors = endings.enter_context(ExitStack())
-        wires = _Wires(links, clock, sleep, doors, guard, safety, _roles(station))
+        wires = Wires(links, clock, sleep, doors, guard, safety, station)
         switch, inputs = switch_of(station.laser, wires)
         laser = PermittedLaser(switch, safety, wires.line(getattr(station.laser, "address", "")))
         rest = Rest(laser, safety)
@@ -129,6 +131,22 @@ def open_station(
             station, table, stage, profiler, laser, guarantee, clock, wires.sleep, lease, guard,
             wires.guarded, safety, rest, wires.reopen_lost,
         )  # fmt: skip
+
+
+@contextmanager
+def open_wires(
+    station: Station,
+    *,
+    clock: Clock = time.monotonic,
+    sleep: Sleep = time.sleep,
+    links: Callable[[str], ByteLink] = open_link,
+) -> Iterator[Wires]:
+    """A station's wires and nothing more: nothing is said on them, nobody guards.
+
+    For whoever only asks. Links are opened at the first use, and closed with the block.
+    """
+    with ExitStack() as endings:
+        yield Wires(links, clock, sleep, endings, NoGuard(), _supervisor(station, clock), station)
 
 
 @contextmanager
@@ -171,7 +189,7 @@ def _supervisor(station: Station, clock: Clock) -> Supervisor:
     return safety
 
 
-class _Wires:
+class Wires:
     """Each link opened once and closed on the way out; devices at one address share its bus.
 
     Whoever reads or sleeps here is alive: the guard is told.
@@ -185,7 +203,7 @@ class _Wires:
         endings: ExitStack,
         guard: Guard,
         safety: Supervisor,
-        roles: Mapping[_Address, str],
+        station: Station,
     ) -> None:
         self.clock = clock
         self.guarded: dict[str, float] = {}
@@ -194,13 +212,15 @@ class _Wires:
         self._endings = endings
         self._guard = guard
         self._safety = safety
-        self._roles = roles
+        self._roles = _roles(station)
+        self._station = station
         self._opened: dict[_Address, AttendedLink] = {}
         self._lines: dict[_Address, Line] = {}
         self._places: dict[_Address, list[Place]] = {}  # as they were when it was opened
         self._recipes: dict[_Address, tuple[Recipe, ...]] = {}
         self._buses: dict[_Address, ModbusBus] = {}
         self._chains: dict[_Address, zaber.Chain] = {}
+        self._scips: dict[_Address, hokuyo.ScipLine] = {}
 
     def sleep(self, seconds: float) -> None:
         """Let some time pass; 50 ms at most between two renewals."""
@@ -268,10 +288,23 @@ class _Wires:
 
     def chain(self, address: str) -> zaber.Chain:
         """A chain of Zaber devices; both axes may be on one."""
-        place = replace(parse_address(address), text="")
+        place = _place(address)
         if place not in self._chains:
             self._chains[place] = zaber.Chain(self.link(address), clock=self.clock)
         return self._chains[place]
+
+    def scip(self, address: str) -> hokuyo.ScipLine:
+        """A Hokuyo scanner's line; a switch-off waits no longer than its longest reply takes."""
+        place = _place(address)
+        if place not in self._scips:
+            self._scips[place] = scip_line(self._station, self.link(address), self.clock)
+        return self._scips[place]
+
+    def counters(self, address: str) -> Mapping[str, int]:
+        """How a line fares that several devices may share; empty where a driver has it alone."""
+        place = _place(address)
+        lines: tuple[Mapping[_Address, Counted], ...] = (self._buses, self._chains, self._scips)
+        return next((each[place].counters() for each in lines if place in each), {})
 
     def hand_over(self, device: object, address: str) -> None:
         """Give the guard what it must know of a device to bring it to rest."""
@@ -314,6 +347,14 @@ def _roles(station: Station) -> dict[_Address, str]:
     if not isinstance(station.laser, NoLaserSwitch):
         roles[_place(station.laser.address)] = "laser"
     return roles
+
+
+def scip_line(station: Station, link: ByteLink, clock: Clock) -> hokuyo.ScipLine:
+    """The line of a station's Hokuyo; a switch-off waits behind its longest reply."""
+    if not isinstance(station.profiler, Hokuyo):
+        return hokuyo.ScipLine(link, clock=clock)
+    told = station.profiler.driver_settings
+    return hokuyo.ScipLine(link, longest_reply_s=told.wire_s, baud=told.baud, clock=clock)
 
 
 def _addresses(station: Station) -> list[str]:

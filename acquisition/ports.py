@@ -1,7 +1,8 @@
 """Who may be on one serial port with whom, told before anything is opened.
 
-A Grbl board has its port to itself. Modbus devices share a line, and Zaber devices a chain, if all
-of them say the same of it: a line has one speed and one parity.
+A Grbl board has its port to itself, and so has a SICK sensor. Modbus devices share a line, Zaber
+devices a chain, a Hokuyo's profiles and its laser's switch their scanner's port, if all of them say
+the same of it: a line has one speed and one parity.
 """
 
 from __future__ import annotations
@@ -10,10 +11,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from acquisition.motion_settings import ZaberStage, ZaberTable
-from acquisition.station import GrblTable, NoLaserSwitch, Station
+from acquisition.profiler_settings import Hokuyo, SickProfiler2
+from acquisition.station import GrblLaser, GrblTable, HokuyoLaser, NoLaserSwitch, Station
 from drivers.addresses import SerialAddress, parse_address
 
-_ALONE = "Grbl"
+_GRBL, _SICK = "Grbl", "SICK's protocol"
+_ALONE = (_GRBL, _SICK)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +42,7 @@ def check_ports(station: Station) -> None:
         if other is use:
             continue
         both = f"{use.role}.address: {use.port.device} is the {other.role}'s port, too"
-        if use.language != other.language or use.language == _ALONE:
+        if use.language != other.language or use.language in _ALONE:
             raise ValueError(
                 f"{both}, and {other.language} and {use.language} cannot share one; give it its own"
             )
@@ -58,6 +61,14 @@ def _uses(station: Station) -> Iterator[_Use]:
 
 
 def _language(device: object) -> str:
-    if isinstance(device, GrblTable):
-        return _ALONE
-    return "Zaber ASCII" if isinstance(device, ZaberTable | ZaberStage) else "Modbus"
+    match device:
+        case GrblTable() | GrblLaser():
+            return _GRBL
+        case SickProfiler2():
+            return _SICK
+        case ZaberTable() | ZaberStage():
+            return "Zaber ASCII"
+        case Hokuyo() | HokuyoLaser():
+            return "SCIP"
+        case _:
+            return "Modbus"

@@ -7,8 +7,8 @@ from enum import Enum
 from typing import Annotated, ClassVar
 
 from acquisition.settings import Key
-from drivers import register_profiler, riftek
-from drivers.addresses import parse_address
+from drivers import hokuyo, register_profiler, riftek, sick
+from drivers.addresses import SerialAddress, parse_address
 from drivers.profiler import Reason
 from drivers.register_profiler import Flag, Layout, Packing, Table, Trigger, must_tell_torn_reads
 
@@ -182,3 +182,138 @@ class Riftek:
             sync=riftek.Sync.SOFTWARE if software else riftek.Sync.INTERNAL,
             serial=self.serial,
         )
+
+
+class HokuyoPort(Enum):
+    """Whether the address's baud rate means anything."""
+
+    RS_232 = "rs-232"
+    USB = "usb"  # or a network: bytes take no time worth counting
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hokuyo:
+    """A Hokuyo scanner in SCIP 2.0: which of its steps are a profile."""
+
+    SELECTOR: ClassVar = "family"
+    family: ClassVar = "hokuyo"
+    address: Annotated[
+        str,
+        Key(
+            "the scanner's port; its laser's switch is on it, too",
+            starts=("serial://", "tcp://"),
+            parse=parse_address,
+        ),
+    ]
+    port: Annotated[HokuyoPort, Key("rs-232, or usb: then the baud rate has no meaning")] = (
+        HokuyoPort.RS_232
+    )
+    first_step: Annotated[int, Key("of the profile, from 0", at_least=0, at_most=9999)]
+    last_step: Annotated[int, Key("of the profile", at_least=0, at_most=9999)]
+    cluster: Annotated[
+        int, Key("so many neighbours become one, the nearest of them", at_least=1, at_most=99)
+    ] = 1
+    rate_hz: Annotated[float, Key("turns a second, as its data sheet has them", above=0.0)] = 10.0
+    serial: Annotated[str, Key("its serial number, so that no other is taken; empty: any")] = ""
+    firmware: Annotated[str, Key("its firmware must begin so; empty: any")] = ""
+
+    def __post_init__(self) -> None:
+        if self.first_step > self.last_step:
+            raise ValueError(
+                f"first_step: {self.first_step} is above last_step {self.last_step}; swap them"
+            )
+        try:
+            self.driver_settings  # noqa: B018 (refuses what the driver would)
+        except ValueError as slow:
+            raise ValueError(f'{slow}; or write port = "usb" where it is on USB') from slow
+
+    @property
+    def driver_settings(self) -> hokuyo.Settings:
+        """What the driver must know; ValueError where a switch-off would be confirmed too late."""
+        place = parse_address(self.address)
+        slow = isinstance(place, SerialAddress) and self.port is HokuyoPort.RS_232
+        return hokuyo.Settings(
+            first_step=self.first_step,
+            last_step=self.last_step,
+            cluster=self.cluster,
+            baud=place.baud if slow and isinstance(place, SerialAddress) else None,
+            serial=self.serial,
+            firmware=self.firmware,
+        )
+
+    @property
+    def points_per_profile(self) -> int:
+        """How many ranges the steps give."""
+        return self.driver_settings.window.points
+
+
+class SickByteOrder(Enum):
+    """How a word of its memory is sent."""
+
+    BIG = "high byte first"
+    LITTLE = "low byte first"
+
+
+class SickAddresses(Enum):
+    """What an address of its memory counts."""
+
+    WORDS = "words"
+    BYTES = "bytes"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SickProfiler2:
+    """A SICK Profiler 2 on RS-485: whole profiles by reads of its memory."""
+
+    SELECTOR: ClassVar = "family"
+    family: ClassVar = "sick"
+    address: Annotated[
+        str,
+        Key("its port, which it shares with nobody", starts=("serial://",), parse=parse_address),
+    ]
+    points: Annotated[int, Key("of a whole profile; it must say so many", at_least=1, at_most=2047)]
+    thinning: Annotated[int, Key("every so many-th is read", at_least=1, at_most=15)] = 1
+    x_mm_per_count: Annotated[float, Key("scale of the sensor's x integers", above=0.0)]
+    z_mm_per_count: Annotated[float, Key("scale of its z; below 0 where z falls")]
+    x_offset_mm: Annotated[float, Key("added to x after scaling")] = 0.0
+    z_offset_mm: Annotated[float, Key("added to z after scaling")] = 0.0
+    byte_order: Annotated[SickByteOrder, Key("high byte first, or low byte first")] = (
+        SickByteOrder.BIG
+    )
+    addresses: Annotated[SickAddresses, Key("words or bytes: what a memory address counts")] = (
+        SickAddresses.WORDS
+    )
+
+    def __post_init__(self) -> None:
+        self.driver_settings  # noqa: B018 (refuses what the driver would)
+
+    @property
+    def driver_settings(self) -> sick.Settings:
+        """What the driver must know; ValueError where it cannot be."""
+        return sick.Settings(
+            x_mm_per_count=self.x_mm_per_count,
+            z_mm_per_count=self.z_mm_per_count,
+            x_offset_mm=self.x_offset_mm,
+            z_offset_mm=self.z_offset_mm,
+            byte_order=sick.ByteOrder[self.byte_order.name],
+            addresses=sick.Addresses[self.addresses.name],
+            points=self.points,
+            thinning=self.thinning,
+        )
+
+    @property
+    def baud(self) -> int:
+        """Of its line."""
+        place = parse_address(self.address)
+        assert isinstance(place, SerialAddress)
+        return place.baud
+
+    @property
+    def points_per_profile(self) -> int:
+        """How many of its points are read."""
+        return -(-self.points // self.thinning)
+
+    @property
+    def rate_hz(self) -> float:
+        """Profiles a second, as many as its line can carry."""
+        return 1.0 / sick.reading_s(self.points_per_profile, self.baud)

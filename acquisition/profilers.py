@@ -12,12 +12,21 @@ from typing import Protocol
 
 import numpy as np
 
-from acquisition.profiler_settings import BannerEzArray, RegisterProfiler, Riftek, RiftekTrigger
+from acquisition.profiler_settings import (
+    BannerEzArray,
+    Hokuyo,
+    RegisterProfiler,
+    Riftek,
+    RiftekTrigger,
+    SickProfiler2,
+)
 from acquisition.station import BaumerOx, ProfilerSettings
-from drivers import baumer_ox, register_profiler, riftek
+from drivers import baumer_ox, hokuyo, register_profiler, riftek, sick
 from drivers.bus import Bus
 from drivers.links import ByteLink
 from drivers.profiler import Profile, Profiler, Reason
+
+_PATIENCE_S = 0.25  # for a profile, beside three periods of the sensor
 
 
 class Wires(Protocol):
@@ -44,6 +53,10 @@ class Wires(Protocol):
         """A Modbus bus."""
         ...
 
+    def scip(self, address: str) -> hokuyo.ScipLine:
+        """A Hokuyo scanner's line, which its profiles and its laser's switch share."""
+        ...
+
 
 def profiler_maker(settings: ProfilerSettings) -> Callable[[Wires], Profiler]:
     """What makes the profiler; ValueError where the driver cannot do what the file says."""
@@ -61,6 +74,14 @@ def profiler_maker(settings: ProfilerSettings) -> Callable[[Wires], Profiler]:
         case Riftek():
             wanted = settings.driver_settings
             return lambda at: _riftek(settings, wanted, at)
+        case Hokuyo():
+            steps = settings.driver_settings
+            return lambda at: hokuyo.Hokuyo(at.scip(settings.address), steps)
+        case SickProfiler2():
+            memory, baud = settings.driver_settings, settings.baud
+            return lambda at: sick.SickProfiler2(
+                sick.SickLine(at.link(settings.address), baud=baud, clock=at.clock), memory
+            )
 
 
 def as_it_is(settings: ProfilerSettings) -> ProfilerSettings:
@@ -72,6 +93,12 @@ def as_it_is(settings: ProfilerSettings) -> ProfilerSettings:
             return replace(settings, set_rate=False, exposure_us=None, trigger=RiftekTrigger.SENSOR)
         case _:
             return settings
+
+
+def patience_s(settings: ProfilerSettings) -> float:
+    """How long a profile is waited for: three of its periods, and what a lost answer costs."""
+    recovery_s = sick.FORGETS_S if isinstance(settings, SickProfiler2) else 0.0
+    return _PATIENCE_S + 3.0 / settings.rate_hz + recovery_s
 
 
 def lost_profile(settings: ProfilerSettings) -> Profile:
@@ -128,3 +155,8 @@ def _scales(settings: ProfilerSettings) -> tuple[tuple[float, float], tuple[floa
             return scale_mm, (layout.first_column_mm, layout.z_offset_mm)
         case Riftek():
             return (1.0, 1.0), (settings.x_offset_mm, settings.z_offset_mm)
+        case Hokuyo():
+            return (hokuyo.MM_PER_COUNT, hokuyo.MM_PER_COUNT), (0.0, 0.0)
+        case SickProfiler2():
+            scale_mm = (settings.x_mm_per_count, settings.z_mm_per_count)
+            return scale_mm, (settings.x_offset_mm, settings.z_offset_mm)

@@ -24,7 +24,7 @@ against those kept.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
@@ -34,18 +34,17 @@ from acquisition.lease import LONGEST_WAIT_S, lasing, pausing
 from acquisition.opening import OpenStation, at_rest_unless_done
 from acquisition.plan import Plan, Target, check_plan, targets
 from acquisition.poses import Pose, Sweep
-from acquisition.profilers import lost_profile
+from acquisition.profilers import lost_profile, patience_s
 from acquisition.safety.leading import arm, begin_homing, homed, known, resume
 from acquisition.safety.states import Event, State
 from acquisition.station import GrblTable, HomeMark, LeadshineStage, TableZero
 from drivers.axis import Axis, AxisState, Motion
-from drivers.errors import NoReply, Refused
-from drivers.profiler import Profile, Reason
+from drivers.errors import FrameError, NoReply, Refused
+from drivers.profiler import Profile, Reason, Tally
 
 _TRIES = 4  # an exposure, and three more for a profile that was lost
 _MOST_LOST_IN_A_ROW = 3  # stops: then it is the profiler that is lost
 _LOOK_S = LONGEST_WAIT_S / 2  # half, because switching on again takes its time, too
-_PATIENCE_S = 0.25  # for a profile, beside three periods of the sensor
 _TAKE_UP_MM = 0.5  # more than any screw's backlash
 _BRAKING_S = 5.0
 _SLOW_S = 1.0  # whoever takes a sweep for longer holds the scan up: it is paused since then
@@ -107,6 +106,7 @@ class Progress:
     stops_done: int  # of this slice
     stops: int
     lost_profiles: int  # never came, in this scan
+    tally: Tally = field(default_factory=Tally)  # of the profiler, since it was opened
 
 
 def scan(
@@ -171,7 +171,7 @@ class _Scan:
         self._progress = progress
         self._lease = station.lease
         self._pause = pausing(self._lease, self._look, station.sleep)
-        self._patience_s = _PATIENCE_S + 3.0 / station.settings.profiler.rate_hz
+        self._patience_s = patience_s(station.settings.profiler)
         self._lost_profiles = 0
         self._lost_in_a_row = 0
 
@@ -275,9 +275,10 @@ class _Scan:
             for _ in range(self._plan.step_and_shoot.profiles_per_stop):
                 profiles.append(self._profile())
                 poses.append(self._pose())
-            lost = self._lost_profiles
+            lost, tally = self._lost_profiles, self._station.profiler.tally()
             if done >= 0:
-                self._progress(Progress(target.index, done, slices, number, stops, lost))
+                told = Progress(target.index, done, slices, number, stops, lost, tally)
+                self._progress(told)
         self._station.table.move_to(0.0, self._pause)
         return Sweep(target.index, tuple(profiles), tuple(poses))
 
@@ -291,7 +292,7 @@ class _Scan:
     def _profile(self) -> Profile:
         """One profile that is whole, or after some tries the fullest, or none but LOST points."""
         best: Profile | None = None
-        silence: NoReply | None = None
+        silence: NoReply | FrameError | None = None
         for tries_left in reversed(range(_TRIES)):
             try:
                 seen = self._expose()
@@ -299,7 +300,7 @@ class _Scan:
                 if not tries_left:
                     raise
                 continue
-            if isinstance(seen, NoReply):
+            if isinstance(seen, NoReply | FrameError):
                 silence = seen
                 continue
             self._lost_in_a_row = 0
@@ -308,7 +309,7 @@ class _Scan:
                 break
         return best or self._count_lost(silence)
 
-    def _expose(self) -> Profile | NoReply:
+    def _expose(self) -> Profile | NoReply | FrameError:
         """Laser on, what came before thrown away, the next profile if one comes, laser off."""
         station = self._station
         with lasing(station.laser, self._lease) as keep_on:
@@ -318,12 +319,12 @@ class _Scan:
                 self._look()
                 try:
                     return next(station.profiler.profiles(_LOOK_S))
-                except NoReply as silence:
+                except (NoReply, FrameError) as silence:
                     if station.clock() >= deadline_s:
                         return silence
                 keep_on()
 
-    def _count_lost(self, silence: NoReply | None) -> Profile:
+    def _count_lost(self, silence: NoReply | FrameError | None) -> Profile:
         self._lost_profiles += 1
         self._lost_in_a_row += 1
         if self._lost_in_a_row >= _MOST_LOST_IN_A_ROW:

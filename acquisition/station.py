@@ -13,7 +13,13 @@ from typing import Annotated, ClassVar
 
 from acquisition.frames import Kinematics
 from acquisition.motion_settings import AzStage, AzTable, ZaberStage, ZaberTable
-from acquisition.profiler_settings import BannerEzArray, RegisterProfiler, Riftek
+from acquisition.profiler_settings import (
+    BannerEzArray,
+    Hokuyo,
+    RegisterProfiler,
+    Riftek,
+    SickProfiler2,
+)
 from acquisition.settings import Key, commented_toml, parse_settings, read_settings
 from drivers.addresses import parse_address
 
@@ -235,6 +241,16 @@ class GrblLaser:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class HokuyoLaser:
+    """The laser of the Hokuyo scanner that measures, which it switches itself."""
+
+    SELECTOR: ClassVar = "switch"
+    switch: ClassVar = "hokuyo"
+    address: Annotated[str, _reached("the scanner's port, the profiler's own", _SERIAL_OR_TCP)]
+    warning_s: Annotated[float, _WARNING] = 3.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class NoLaserSwitch:
     """Nothing switches the laser: it is on while the sensor has power."""
 
@@ -244,7 +260,8 @@ class NoLaserSwitch:
 
 TableSettings = GrblTable | ZaberTable | AzTable
 StageSettings = LeadshineStage | ZaberStage | AzStage
-ProfilerSettings = BaumerOx | Riftek | RegisterProfiler | BannerEzArray
+ProfilerSettings = BaumerOx | Riftek | RegisterProfiler | BannerEzArray | Hokuyo | SickProfiler2
+LaserSettings = RelayLaser | GrblLaser | HokuyoLaser | NoLaserSwitch
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -256,10 +273,24 @@ class Station:
     stage: Annotated[StageSettings, Key("what lifts the laser plane or the part")]
     profiler: Annotated[ProfilerSettings, Key("what measures")]
     laser: Annotated[
-        RelayLaser | GrblLaser | NoLaserSwitch,
-        Key('what switches the laser: "relay", "grbl", or "none" (then no unattended runs)'),
+        LaserSettings,
+        Key('what switches the laser: "relay", "grbl", "hokuyo", or "none" (nobody can leave it)'),
     ]
     kinematics: Annotated[Kinematics, Key("how axes and sensor stand; see docs/frames.md")]
+
+    def __post_init__(self) -> None:
+        match self.laser, self.profiler:
+            case HokuyoLaser(address=told), Hokuyo(address=own):
+                if told != own:
+                    raise ValueError(
+                        f"laser.address: {told} is not the profiler's, and its scanner is what"
+                        f" switches the laser; write {own}"
+                    )
+            case HokuyoLaser(), other:
+                raise ValueError(
+                    f"laser.switch: a {other.family} profiler has no switch of its own; write"
+                    ' "relay", "grbl" or "none"'
+                )
 
 
 def parse_station(text: str, name: str = "station.toml") -> Station:

@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+_LONGEST_COMMAND = 120  # characters that a message shows
+
 
 @dataclass(frozen=True, slots=True)
 class Holder:
@@ -61,4 +63,6 @@ def _command(process: Path) -> str:
         words = (process / "cmdline").read_bytes().split(b"\0")
     except OSError:
         return "name unknown"
-    return b" ".join(words).decode(errors="replace").strip() or "name unknown"
+    # A script that was given as an argument has lines of its own, and a message has one.
+    said = " ".join(b" ".join(words).decode(errors="replace").split()) or "name unknown"
+    return said if len(said) <= _LONGEST_COMMAND else f"{said[: _LONGEST_COMMAND - 3]}..."

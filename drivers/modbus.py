@@ -193,6 +193,18 @@ class ModbusBus:
         rtu = self._framing is Framing.RTU
         return _TURNROUND_S + self.wire_s(_FIFO_CHARACTERS) if rtu else 0.0
 
+    def counters(self) -> dict[str, int]:
+        """The tally by the names that all lines share; see `drivers.inspection`."""
+        tally = self._tally
+        return {
+            "asked": tally.requests,
+            "repeated": tally.retries,
+            "timeouts": tally.no_replies,
+            "damaged": tally.frame_errors,
+            "refused": tally.refusals,
+            "unasked_bytes": tally.discarded_bytes,
+        }
+
     def tally(self) -> BusTally:
         """What happened so far."""
         return self._tally

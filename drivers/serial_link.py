@@ -25,8 +25,9 @@ from drivers.holders import holders_of
 
 _VANISHED = (OSError, termios.error)  # SerialException is an OSError
 _BUSY = (errno.EBUSY, errno.EAGAIN)
+NO_PORT = "no such port; is the cable in?"
 _REMEDIES = {
-    errno.ENOENT: "no such port; is the cable in?",
+    errno.ENOENT: NO_PORT,
     errno.EACCES: "not permitted; on Debian: sudo adduser $USER dialout, then log in again",
 }
 

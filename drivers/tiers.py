@@ -34,3 +34,8 @@ TIERS = {
 def tier_of(family: str) -> Tier:
     """Tier of a family as station.toml names it."""
     return TIERS[_MEMBERS.get(family, family)]
+
+
+def tier_of_switch(switch: str) -> Tier:
+    """Tier of a laser switch; a Grbl board's output was tried on our own board only."""
+    return Tier.INFERRED if switch == "grbl" else tier_of(switch)

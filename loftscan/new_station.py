@@ -12,10 +12,11 @@ from typing import Any
 
 from acquisition.plan import Plan, check_plan, ring, write_plan
 from acquisition.settings import read_table
-from acquisition.station import Station, write_station
+from acquisition.station import HokuyoLaser, Station, write_station
 from drivers.addresses import parse_address
 
 NO_SWITCH = "none"
+_OWN_SWITCH = "hokuyo"  # a profiler that switches its laser itself
 MARK = "PLACEHOLDER, to be set: "
 _PLAN_STEP_MM = 1.0
 _PLAN_STOPS = 360
@@ -38,9 +39,11 @@ class Question:
         ValueError
             Not what is asked for; says what is.
         """
-        if isinstance(self.placeholder, str):
+        if self.key.endswith((".address", ".profiles")):
             if not (self.key == "laser.address" and text == NO_SWITCH):
                 parse_address(text)
+            return text
+        if isinstance(self.placeholder, str):
             return text
         try:
             return type(self.placeholder)(text)
@@ -132,6 +135,19 @@ _PROFILERS: Mapping[str, tuple[Question, ...]] = {
         Question("profiler.points_per_profile", "channels of the screen", 120),
         Question("profiler.channel_pitch_mm", "mm from a channel to the next", 5.0),
     ),
+    _OWN_SWITCH: (
+        Question("profiler.address", "port of the scanner", "serial:///dev/ttyACM0"),
+        Question("profiler.port", "usb or rs-232", "usb"),
+        Question("profiler.first_step", "first step of a profile", 304),
+        Question("profiler.last_step", "last step of a profile", 464),
+        Question("profiler.rate_hz", "turns a second", 10.0),
+    ),
+    "sick": (
+        Question("profiler.address", "port of the sensor", "serial:///dev/ttyUSB2?baud=2000000"),
+        Question("profiler.points", "points of a whole profile", 832),
+        Question("profiler.x_mm_per_count", "mm a count of x", 0.0005),
+        Question("profiler.z_mm_per_count", "mm a count of z", 0.0005),
+    ),
 }
 _REST = (
     Question("laser.address", "the laser relay's Modbus, or none", "tcp://192.168.0.254:502"),
@@ -163,11 +179,13 @@ class Families:
     @property
     def questions(self) -> tuple[Question, ...]:
         """Everything that differs from station to station, in the order of the file."""
+        own = self.profiler == _OWN_SWITCH
+        rest = (each for each in _REST if not (own and each.key.startswith("laser.")))
         return (
             *_TABLES[self.table],
             *_STAGES[self.stage],
             *_PROFILERS[self.profiler],
-            *_REST,
+            *rest,
         )
 
 
@@ -193,8 +211,11 @@ def new_station(
     given = {each.key: answers.get(each.key, each.placeholder) for each in wanted}
     # What was answered and is no key of these families is refused where the station is read.
     given |= {k: v for k, v in answers.items() if not _superfluous(k, answers)}
-    station = read_table(Station, _nested(given, families), name)
+    unlit = answers.get("laser.address") == NO_SWITCH
+    station = read_table(Station, _nested(given, families, unlit=unlit), name)
     open_keys = [each.key for each in wanted if each.key not in answers]
+    if isinstance(station.laser, HokuyoLaser) and "profiler.address" in open_keys:
+        open_keys.append("laser.address")  # the same
     to_set = (*open_keys, *_ALWAYS_TO_CHECK)
     return _marked(write_station(station), to_set), to_set
 
@@ -211,7 +232,9 @@ def _superfluous(key: str, answers: Mapping[str, object]) -> bool:
     return key.startswith("laser.") and answers.get("laser.address") == NO_SWITCH
 
 
-def _nested(values: Mapping[str, object], families: Families) -> dict[str, dict[str, Any]]:
+def _nested(
+    values: Mapping[str, object], families: Families, *, unlit: bool
+) -> dict[str, dict[str, Any]]:
     nested: dict[str, dict[str, Any]] = {name: dict(table) for name, table in _FIXED.items()}
     for role in ("table", "stage", "profiler"):
         nested[role] = {"family": getattr(families, role)}
@@ -220,6 +243,8 @@ def _nested(values: Mapping[str, object], families: Families) -> dict[str, dict[
         nested[table][key] = value
     if not any(path.startswith("laser.") for path in values):
         nested["laser"] = {"switch": NO_SWITCH}
+        if families.profiler == _OWN_SWITCH and not unlit:
+            nested["laser"] = {"switch": _OWN_SWITCH, "address": nested["profiler"]["address"]}
     return nested
 
 

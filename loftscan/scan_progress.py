@@ -24,7 +24,7 @@ from acquisition.poses import Sweep
 from acquisition.safety.promises import promise_of_guard
 from acquisition.scan import Progress, StopRequest, Wish
 from drivers.laser import Guarantee
-from drivers.profiler import Reason
+from drivers.profiler import Reason, Tally
 from loftscan.coverage import turn_coverage
 from loftscan.scan_folders import Prospect, in_bytes
 
@@ -167,16 +167,22 @@ class ScanTeller:
             self._say(
                 event="done", out=out, slices=slices, seconds=round(seconds, 3),
                 torn_profiles=self._torn_profiles, lost_points=self._lost_points,
+                lost_profiles=self._last.lost_profiles if self._last else 0, **self._frames(),
             )  # fmt: skip
         else:
             self._print(f"{here.out}: complete, {slices} slices; {in_time(seconds)}")
+        self._tell_of_frames()
         self._warn_of_lost()
 
     def paused(self, here: Prospect, kept: int) -> None:
         """Tell that the run ended at a slice's border."""
         if self._manner is Manner.JSON:
-            self._say(event="paused", out=str(here.out), kept=kept, slices=here.plan.ring.count)
+            self._say(
+                event="paused", out=str(here.out), kept=kept, slices=here.plan.ring.count,
+                **self._frames(),
+            )  # fmt: skip
         self.end_line()
+        self._tell_of_frames()
         self._warn_of_lost()
 
     def note(self, text: str) -> None:
@@ -196,6 +202,25 @@ class ScanTeller:
         lost = [int(np.count_nonzero(each.reasons == Reason.LOST)) for each in sweep.profiles]
         self._torn_profiles += sum(count > 0 for count in lost)
         self._lost_points += sum(lost)
+
+    def _frames(self) -> dict[str, int]:
+        """What the profiler's stream went through, beside what is kept of it."""
+        tally = self._last.tally if self._last else Tally()
+        return {
+            "dropped_frames": tally.lost_profiles,
+            "torn_frames": tally.torn_profiles,
+            "bad_frames": tally.bad_frames,
+        }
+
+    def _tell_of_frames(self) -> None:
+        """Say what was dropped, where anything was: exposures were repeated for it."""
+        frames = self._frames()
+        if self._manner is not Manner.JSON and any(frames.values()):
+            dropped, torn, bad = frames.values()
+            self._print(
+                f"profiler: {dropped} frames dropped, {torn} torn, {bad} damaged on their way;"
+                " exposures were repeated for those that were wanted"
+            )
 
     def _warn_of_lost(self) -> None:
         if self._torn_profiles and self._manner is not Manner.JSON:

@@ -101,7 +101,8 @@ def simulate(
     table, stage
         Families of the axes, such as ``table="oriental"``; by default grbl and leadshine.
     profiler
-        Family of what measures: ``"baumer_ox"`` by default, ``"riftek"`` or ``"registers"``.
+        Family of what measures: ``"baumer_ox"`` by default, ``"riftek"``, ``"registers"``,
+        ``"hokuyo"`` (which lights its own laser) or ``"sick"``.
     faults
         Planted faults by name, such as ``"no-profiles"``.
     laser

@@ -85,7 +85,7 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
         table_family=TableFamily(wanted.table),
         stage_family=StageFamily(wanted.stage),
         profiler_family=ProfilerFamily(wanted.profiler),
-        laser=LaserWiring(wanted.laser),
+        laser=_laser_of(wanted),
     )
     files = _files(wanted, folder)
     with WitnessLog(files.witness) as witness:
@@ -102,6 +102,14 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
                 _end_with_stdin(server, ending, devices, cabling)
             _tell(files, as_json=wanted.json)
             server.run(ending)
+
+
+def _laser_of(wanted: argparse.Namespace) -> LaserWiring:
+    """What switches the laser: where nobody chose, a Hokuyo its own, of others an I/O block."""
+    if wanted.laser is not None:
+        return LaserWiring(wanted.laser)
+    own = wanted.profiler == ProfilerFamily.HOKUYO.value
+    return LaserWiring.HOKUYO if own else Layout().laser
 
 
 def _files(wanted: argparse.Namespace, folder: Path) -> _Files:
@@ -188,7 +196,7 @@ def _parser() -> argparse.ArgumentParser:
     option("--stops", type=_count_from(3), default=PLAN_STOPS, help="of the table, in each ring")
     option("--faults", default="", metavar="NAME,NAME=N", help="what is wrong; --list names all")
     wirings = [each.value for each in LaserWiring]
-    option("--laser", choices=wirings, default=normal.laser.value, help="what switches the laser")
+    option("--laser", choices=wirings, help="what switches it; absent: turck, a hokuyo its own")
     option("--out", type=Path, metavar="DIR", help="keeps the files; absent: gone at the end")
     option("--station", type=Path, metavar="FILE", help="for station.toml alone")
     option("--witness", type=Path, metavar="FILE", help="for the log of what truly happened alone")

@@ -30,6 +30,7 @@ class LaserWiring(Enum):
     PLAIN_9600 = "plain-9600"
     TIMED = "timed"  # a relay board with a timed on
     GRBL = "grbl"  # the spindle output of a board of its own
+    HOKUYO = "hokuyo"  # the scanner that measures, by itself
     NONE = "none"  # it is on as long as the station has power
 
     @property
@@ -60,8 +61,8 @@ def laser_table(wiring: LaserWiring, address: str, *, device_id: int, watchdog_s
     """The keys of station.toml's table [laser]."""
     if wiring is LaserWiring.NONE:
         return 'switch = "none"'
-    if wiring is LaserWiring.GRBL:
-        return f'switch = "grbl"\naddress = "{address}"\n{_UNWARNED}'
+    if wiring in (LaserWiring.GRBL, LaserWiring.HOKUYO):
+        return f'switch = "{wiring.value}"\naddress = "{address}"\n{_UNWARNED}'
     family = {LaserWiring.TURCK: "turck", LaserWiring.TIMED: "timed"}.get(wiring, "plain")
     lines = [
         'switch = "relay"',

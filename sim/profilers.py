@@ -5,30 +5,38 @@
     baumer_ox   Modbus TCP, and datagrams
     riftek      HTTP, and datagrams
     registers   Modbus TCP alone: it waits for its trigger, and holds what it measured
+    hokuyo      a serial port, on which its own laser is switched, too
+    sick        RS-485: reads of its memory
 
 The texts are written here, word by word, and not by the program that reads them.
 """
 
 from __future__ import annotations
 
+import math
 from enum import Enum
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sim.baumer_ox import OxSensor, OxSettings
 from sim.cabling import Cabling
 from sim.device import Device
-from sim.faults import Speaker
+from sim.faults import Breath, Silent, Speaker
+from sim.hokuyo import HokuyoScanner, ScannerSettings
+from sim.lasers import Slow
 from sim.modbus import TcpSession
 from sim.register_profiler import RegisterSensor, RegisterSettings
 from sim.riftek import HttpSession, RfSensor, RfSettings
 from sim.serving import Server
-from sim.wires import TcpListener, UdpSender
+from sim.sick import ProfilerSettings, SickProfiler
+from sim.wires import Pty, TcpListener, UdpSender
 from sim.world import World
 
 if TYPE_CHECKING:
     from sim.stations import Layout
 
 _DEVICE_ID = 1
+_HOKUYO_BAUD, _SICK_BAUD = 750_000, 2_000_000
 
 
 class ProfilerFamily(Enum):
@@ -37,9 +45,11 @@ class ProfilerFamily(Enum):
     BAUMER_OX = "baumer_ox"
     RIFTEK = "riftek"
     REGISTERS = "registers"
+    HOKUYO = "hokuyo"
+    SICK = "sick"
 
 
-SimProfiler = OxSensor | RfSensor | RegisterSensor
+SimProfiler = OxSensor | RfSensor | RegisterSensor | HokuyoScanner | SickProfiler
 
 
 def build_profiler(layout: Layout, world: World) -> SimProfiler:
@@ -48,13 +58,29 @@ def build_profiler(layout: Layout, world: World) -> SimProfiler:
         return RfSensor(world, RfSettings(rate_hz=layout.rate_hz))
     if layout.profiler_family is ProfilerFamily.REGISTERS:
         return RegisterSensor(world, RegisterSettings(rate_hz=layout.rate_hz))
+    if layout.profiler_family is ProfilerFamily.HOKUYO:
+        return HokuyoScanner(world, ScannerSettings())
+    if layout.profiler_family is ProfilerFamily.SICK:
+        return SickProfiler(world, ProfilerSettings(points=layout.sensor.points))
     return OxSensor(world, OxSettings(rate_hz=layout.rate_hz))
 
 
 def connect_profiler(
-    profiler: SimProfiler, layout: Layout, cabling: Cabling, server: Server
+    profiler: SimProfiler,
+    layout: Layout,
+    cabling: Cabling,
+    server: Server,
+    folder: Path,
+    laser_cable: Breath,
 ) -> tuple[str, str]:
     """Serve it; where it is asked, and where its profiles arrive: empty where they do not."""
+    if isinstance(profiler, SickProfiler):
+        line = cabling.serial(Slow(profiler, _SICK_BAUD), Speaker.PROFILER)
+        return _serial(line, server, folder, _SICK_BAUD), ""
+    if isinstance(profiler, HokuyoScanner):
+        both = Silent(Slow(profiler, _HOKUYO_BAUD), laser_cable)
+        line = cabling.serial(both, Speaker.PROFILER, Speaker.RELAY)
+        return _serial(line, server, folder, _HOKUYO_BAUD), ""
     listener = TcpListener(layout.profiler_port)
     cable = cabling.tcp(Speaker.PROFILER)
     server.serve_tcp(listener, lambda: cable(_session(profiler)))
@@ -66,7 +92,13 @@ def connect_profiler(
     return listener.address, profiles.address
 
 
-def _session(profiler: SimProfiler) -> Device:
+def _serial(line: Device, server: Server, folder: Path, baud: int) -> str:
+    port = Pty(folder / "profiler", baud)
+    server.serve_pty(port, line)
+    return f"serial://{port.path}?baud={baud}"
+
+
+def _session(profiler: OxSensor | RfSensor | RegisterSensor) -> Device:
     if isinstance(profiler, RfSensor):
         return HttpSession(profiler)
     return TcpSession({_DEVICE_ID: profiler})
@@ -133,8 +165,42 @@ trigger_register = 0
 """
 
 
+def _hokuyo(layout: Layout, address: str, profiles: str) -> str:
+    del profiles
+    told = ScannerSettings()
+    seen = math.floor(math.atan(layout.sensor.steepest) / (math.tau / told.steps_a_turn))
+    return f"""\
+# what measures: a Hokuyo scanner, whose own laser it lights itself
+[profiler]
+family = "hokuyo"
+address = "{address}"
+port = "rs-232"
+first_step = {told.front_step - seen}
+last_step = {told.front_step + seen}
+rate_hz = {told.rpm / 60.0}
+serial = "{told.serial}"
+"""
+
+
+def _sick(layout: Layout, address: str, profiles: str) -> str:
+    del profiles
+    told = ProfilerSettings()
+    return f"""\
+# what measures: a SICK Profiler 2
+[profiler]
+family = "sick"
+address = "{address}"
+points = {layout.sensor.points}
+x_mm_per_count = {told.x_mm_per_count}
+z_mm_per_count = {told.z_mm_per_count}
+z_offset_mm = {told.z_offset_mm}  # the middle of its range
+"""
+
+
 _WRITERS = {
     ProfilerFamily.BAUMER_OX: _baumer_ox,
     ProfilerFamily.RIFTEK: _riftek,
     ProfilerFamily.REGISTERS: _registers,
+    ProfilerFamily.HOKUYO: _hokuyo,
+    ProfilerFamily.SICK: _sick,
 }

@@ -97,6 +97,14 @@ class Layout:
     profiles_port: int = 0
     relay_port: int = 0
 
+    def __post_init__(self) -> None:
+        own = self.laser is LaserWiring.HOKUYO
+        if own != (self.profiler_family is ProfilerFamily.HOKUYO):
+            raise ValueError(
+                f"laser {self.laser.value}, profiler {self.profiler_family.value}: a hokuyo lights"
+                " its own laser and nobody else's; choose hokuyo for both or for neither"
+            )
+
     @property
     def optics(self) -> OpticsSettings:
         """The bench's settings."""
@@ -188,14 +196,18 @@ def connect(
         A port is taken.
     """
     table, stage = _serial_lines(devices, layout, cabling, server, folder)
-    profiler, profiles = connect_profiler(devices.profiler, layout, cabling, server)
+    profiler, profiles = connect_profiler(
+        devices.profiler, layout, cabling, server, folder, devices.laser_cable
+    )
     server.tell_time(devices.relay.tick)  # its watchdog bites whether or not it has a connection
     return Addresses(
         table=table,
         stage=stage,
         profiler=profiler,
         profiles=profiles,
-        laser=_laser_address(devices, layout, cabling, server, folder),
+        laser=profiler
+        if layout.laser is LaserWiring.HOKUYO
+        else _laser_address(devices, layout, cabling, server, folder),
     )
 
 
@@ -212,7 +224,7 @@ def _laser_address(
     grbl = layout.laser is LaserWiring.GRBL
     device: Device = devices.laser_board if grbl else RtuServer({_DEVICE_ID: devices.relay})
     line = cabling.serial(Silent(device, breath), Speaker.RELAY)
-    return f"{_serve(Slow(line, baud), server, folder / 'laser')}?baud={baud}"
+    return _serve(Slow(line, baud), server, folder / "laser", baud)
 
 
 def station_toml(layout: Layout, addresses: Addresses, part_name: str) -> str:
@@ -292,16 +304,19 @@ def _serial_lines(
     lines = lines_of(devices.table, devices.stage, layout.stage_baud)
     if lines.table is lines.stage:
         both = cabling.serial(lines.table, Speaker.TABLE, Speaker.STAGE)
-        return (f"{_serve(both, server, folder / 'axes')}?baud={lines.baud}",) * 2
-    table = _serve(cabling.serial(lines.table, Speaker.TABLE), server, folder / "table")
-    stage = _serve(cabling.serial(lines.stage, Speaker.STAGE), server, folder / "stage")
-    return f"{table}?baud={_TABLE_BAUD}", f"{stage}?baud={lines.baud}"
+        return (_serve(both, server, folder / "axes", lines.baud),) * 2
+    table = cabling.serial(lines.table, Speaker.TABLE)
+    stage = cabling.serial(lines.stage, Speaker.STAGE)
+    return (
+        _serve(table, server, folder / "table", _TABLE_BAUD),
+        _serve(stage, server, folder / "stage", lines.baud),
+    )
 
 
-def _serve(device: Device, server: Server, name: Path) -> str:
-    port = Pty(name)
+def _serve(device: Device, server: Server, name: Path, baud: int) -> str:
+    port = Pty(name, baud)
     server.serve_pty(port, device)
-    return f"serial://{port.path}"
+    return f"serial://{port.path}?baud={baud}"
 
 
 def _listen(unit: ModbusUnit, cable: Callable[[Device], Device], port: int, server: Server) -> str:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import os
 import select
 import socket
@@ -24,6 +25,8 @@ from typing import Protocol
 
 _READ_BYTES = 65536
 _UNPLUGGED = -1
+_TCGETS2, _TERMIOS2 = 0x802C542A, struct.Struct("=4IB19sII")  # asm-generic/termbits.h
+_NO_COMMAND = 0xC0  # with these bits no byte means anything to any of the devices
 _RESET = struct.pack("ii", 1, 0)  # SO_LINGER: what was not sent is thrown away
 
 
@@ -60,10 +63,14 @@ class Pty:
 
     The slave is not kept open here: whoever opened it and closed it again could not be noticed, and
     would find its answers from before in the port.
+
+    A pty knows the rate that its port was set to. Where that is not `baud`, what is said either way
+    arrives as garbage, as it does on a real line.
     """
 
-    def __init__(self, link: Path) -> None:
+    def __init__(self, link: Path, baud: int | None = None) -> None:
         self.path = link
+        self._baud = baud
         self._master = _new_pty(link)
 
     def fileno(self) -> int:
@@ -78,7 +85,7 @@ class Pty:
     def read(self) -> bytes:
         """What has arrived; raises `HungUp` while nobody has the port open."""
         try:
-            return os.read(self._master, _READ_BYTES)
+            return self._heard(os.read(self._master, _READ_BYTES))
         except BlockingIOError:
             return b""
         except OSError as gone:
@@ -89,7 +96,7 @@ class Pty:
         if self._events() & select.POLLHUP:
             raise HungUp
         try:
-            return os.write(self._master, data)
+            return os.write(self._master, self._heard(data))
         except BlockingIOError:
             return 0
 
@@ -126,10 +133,22 @@ class Pty:
         if self._master != _UNPLUGGED:
             self.unplug()
 
+    def _heard(self, data: bytes) -> bytes:
+        if self._baud is None or self._baud == _rate_of(self._master):
+            return data
+        return bytes(_NO_COMMAND | byte & 0x3F for byte in data)
+
     def _events(self) -> int:
         poll = select.poll()
         poll.register(self._master, select.POLLIN)
         return sum(events for _, events in poll.poll(0))
+
+
+def _rate_of(descriptor: int) -> int:
+    """The rate that a port was set to, whether or not it is one of the usual ones."""
+    termios2 = fcntl.ioctl(descriptor, _TCGETS2, bytes(_TERMIOS2.size))
+    rate: int = _TERMIOS2.unpack(termios2)[-1]
+    return rate
 
 
 def _new_pty(link: Path) -> int:

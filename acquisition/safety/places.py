@@ -8,6 +8,7 @@ user's own: two users of one machine do not see each other's.
 
 from __future__ import annotations
 
+import fcntl
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -17,7 +18,7 @@ from typing import Any
 
 from drivers.addresses import UdpAddress, parse_address
 from drivers.errors import PortBusy
-from drivers.holders import holder_of
+from drivers.holders import Holder, holder_of
 
 _PATIENCE_S = 10.0  # for the guard of a program that is dead
 _LOOK_S = 0.02
@@ -92,6 +93,22 @@ def lock_all(places: Sequence[Place], lock: Callable[[Sequence[str]], Mapping[st
     if holder is not None:
         raise PortBusy(f"{address}: held by {holder}; end it first")
     raise _Dying(address)
+
+
+def holder_at(address: str) -> Holder | None:
+    """The living program that has the place of an address, if one has; takes nothing."""
+    for place in places_of([address]):
+        try:
+            descriptor = os.open(place.file, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
+        except OSError:  # nobody has it, or somebody whose files we may not see
+            continue
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return holder_of(os.pread(descriptor, 20, 0).decode("ascii", "replace").strip())
+        finally:
+            os.close(descriptor)
+    return None
 
 
 def _folder() -> Path:

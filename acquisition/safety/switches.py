@@ -7,12 +7,14 @@ from typing import Protocol
 
 from acquisition.station import (
     GrblLaser,
+    HokuyoLaser,
+    LaserSettings,
     NoLaserSwitch,
     OutputBy,
     RelayFamily,
     RelayLaser,
 )
-from drivers import grbl, relay
+from drivers import grbl, hokuyo, relay
 from drivers.axis import Identity
 from drivers.inputs import Inputs, SafetyInputs
 from drivers.laser import Guarantee, LaserSwitch
@@ -37,10 +39,12 @@ class Wires(Protocol):
         """Open a bus, or give the one that is open."""
         ...
 
+    def scip(self, address: str) -> hokuyo.ScipLine:
+        """A Hokuyo scanner's line, which its profiles and its laser's switch share."""
+        ...
 
-def switch_of(
-    settings: RelayLaser | GrblLaser | NoLaserSwitch, wires: Wires
-) -> tuple[LaserSwitch, SafetyInputs]:
+
+def switch_of(settings: LaserSettings, wires: Wires) -> tuple[LaserSwitch, SafetyInputs]:
     """Open what switches the laser, and what reads the safety chain.
 
     Raises
@@ -56,6 +60,8 @@ def switch_of(
         case GrblLaser():
             board = grbl.GrblLaser(wires.link(settings.address), clock=wires.clock)
             return board, board if settings.safety_pins else NotWired()
+        case HokuyoLaser():
+            return hokuyo.HokuyoLaser(wires.scip(settings.address)), NotWired()
         case RelayLaser():
             return _relay(settings, wires)
 

@@ -99,6 +99,16 @@ class GrblAxis:
         """
         return self._identity or self._open(None)
 
+    def inspect(self) -> Identity:
+        """As `identify`, without the reset; see `drivers.inspection`."""
+        identity = self._talk.introduced()
+        self._check_settings()
+        return identity
+
+    def counters(self) -> dict[str, int]:
+        """How the line fares; see `drivers.inspection`."""
+        return self._talk.counters()
+
     def state(self) -> AxisState:
         """Ask for a report.
 

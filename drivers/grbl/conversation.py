@@ -31,6 +31,7 @@ ANSWER_S: Final = 1.0  # Grbl reports within 5 to 20 ms; a line waits for room i
 REPORT_S: Final = 0.5
 BANNER_S: Final = 2.5  # an Arduino's boot loader takes 2 s after the port opens
 QUIET_S: Final = 0.1
+_STARTING_TRIES: Final = 3  # reports of half a second, twice each
 _STEP_S: Final = 0.005  # between looks at the link while an answer is due
 _DRAIN_READS: Final = 64
 _HANDSHAKES: Final = 3
@@ -55,13 +56,45 @@ class Conversation:
         self.name = name  # for messages
         self.clock = clock
         self.dialogue = Dialogue()
+        self._asked = self._timeouts = 0
         self._link = link
         self._heard_bytes = 0
+
+    def counters(self) -> dict[str, int]:
+        """How the line fares; see `drivers.inspection`."""
+        return {
+            "asked": self._asked,
+            "timeouts": self._timeouts,
+            "damaged": self.dialogue.unknown_lines,
+            "late": self.dialogue.stray_answers,
+        }
+
+    def introduced(self) -> Identity:
+        """Who it is, and its settings, by questions alone; a board that still starts is waited for.
+
+        Raises
+        ------
+        NoReply, FrameError, LinkLost
+        Refused
+            It moves, and answers no such question then.
+        """
+        self.drain()
+        for tries_left in reversed(range(_STARTING_TRIES)):
+            try:
+                self.status(None)
+                break
+            except NoReply:
+                if not tries_left:
+                    raise
+        for line in ("$I", "$$"):
+            self.exchange(line, None)
+        return identity_of(self)
 
     def exchange(self, line: str, pause: Pause | None, *, within_s: float = ANSWER_S) -> None:
         """Send one line and see it answered ok; never sends it twice."""
         dialogue = self.dialogue
         alarm, upsets = dialogue.alarm, dialogue.upsets
+        self._asked += 1
         self.write(dialogue.send(line))
         self.until(lambda: not dialogue.outstanding or dialogue.alarm is not alarm, within_s, pause)
         if isinstance(dialogue.answer, Error):
@@ -72,6 +105,7 @@ class Conversation:
         if dialogue.answer is not None:
             return
         if dialogue.outstanding:
+            self._timeouts += 1
             dialogue.give_up()
         if dialogue.upsets != upsets:
             raise self.upset(line)
@@ -113,14 +147,16 @@ class Conversation:
             )
         raise NoReply(
             f"{self.name}: no report in {2 * REPORT_S} s at {self._link.address}; is the"
-            " controller on, and is this its port?"
+            " controller on, its baud rate that of the address, and is this its port?"
         )
 
     def report(self, pause: Pause | None, *, within_s: float) -> Status | None:
         """One report, asked for once; None where it did not come."""
         dialogue = self.dialogue
         self.write(dialogue.ask())
+        self._asked += 1
         self.until(lambda: dialogue.status is not None or dialogue.locked, within_s, pause)
+        self._timeouts += dialogue.status is None
         return dialogue.status
 
     def reset(self, pause: Pause | None, *, within_s: float) -> bool:
@@ -224,7 +260,7 @@ def identity_of(talk: Conversation) -> Identity:
         raise Refused(
             f"{talk.name}: firmware {version}; jogs and reports came with Grbl {_OLDEST}: update it"
         )
-    model = banner.firmware if banner else "Grbl"
+    model = banner.firmware if banner else feedback.get("FIRMWARE", "Grbl")
     return Identity(family="grbl", model=model, firmware=version, serial=label)
 
 

@@ -59,12 +59,25 @@ class GrblLaser:
         self._talk.dialogue.settings.clear()
         for line in ("$X", "$I", "$$"):
             self._talk.exchange(line, None)
+        self._check_mode()
+        self._fastest_rpm = self._talk.rate(30)
+        return identity_of(self._talk)
+
+    def inspect(self) -> Identity:
+        """As `identify`, without the reset; see `drivers.inspection`."""
+        identity = self._talk.introduced()
+        self._check_mode()
+        return identity
+
+    def counters(self) -> dict[str, int]:
+        """How the line fares; see `drivers.inspection`."""
+        return self._talk.counters()
+
+    def _check_mode(self) -> None:
         if self._talk.setting(32):
             raise Refused(
                 f"{self._name}: is in laser mode, its output follows the motion; set $32=0", code=32
             )
-        self._fastest_rpm = self._talk.rate(30)
-        return identity_of(self._talk)
 
     def guarantee(self) -> Guarantee:
         """Promise nothing; nothing is sent."""

@@ -2,6 +2,6 @@
 
 from drivers.hokuyo.laser import HokuyoLaser
 from drivers.hokuyo.line import ScipLine
-from drivers.hokuyo.profiler import Geometry, Hokuyo, Settings
+from drivers.hokuyo.profiler import MM_PER_COUNT, Geometry, Hokuyo, Settings
 
-__all__ = ["Geometry", "Hokuyo", "HokuyoLaser", "ScipLine", "Settings"]
+__all__ = ["MM_PER_COUNT", "Geometry", "Hokuyo", "HokuyoLaser", "ScipLine", "Settings"]

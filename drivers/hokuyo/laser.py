@@ -23,7 +23,7 @@ _LASER: Final = "LASR"
 class HokuyoLaser:
     """Keeps `drivers.laser.LaserSwitch`; shares its line with the profiler of the same sensor."""
 
-    def __init__(self, line: ScipLine, *, name: str = "hokuyo laser") -> None:
+    def __init__(self, line: ScipLine, *, name: str = "laser of the scanner") -> None:
         self._line = line
         self._name = name
 
@@ -96,7 +96,8 @@ class HokuyoLaser:
         within_s = min(self._line.reply_s, 1.0)
         off = Word(b"\nQT\n", rb"QT\n00P\n", within_s)
         dark = Word(b"II\n", rb"\nLASR:OFF;7\n", within_s)
-        return (Recipe(self._name, Order.LASER, (off,), (dark,)),)
+        wire_s = self._line.wire_s(len(off.send))
+        return (Recipe(self._name, Order.LASER, (off,), (dark,), wire_s=wire_s),)
 
     def _reads_on_once(self) -> bool:
         """As `is_on`, asked once: an off has tries of its own."""

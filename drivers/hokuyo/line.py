@@ -16,6 +16,7 @@ from drivers.hokuyo.codes import MISHEARD, OK, status_name
 from drivers.hokuyo.wire import Asked, Dialogue, Reply, fields_of
 from drivers.links import ByteLink
 
+BITS_A_CHARACTER: Final = 10
 REPLY_S: Final = 0.1  # beyond what the line itself takes
 _STEP_S: Final = 0.005
 _LATE_S: Final = 0.02
@@ -30,20 +31,25 @@ class ScipLine:
     ----------
     link : ByteLink
         The port; this line is its only holder, and whoever opened it closes it.
-    wire_s : float
-        What the longest reply takes on the wire, and so the longest that another waits behind it.
+    longest_reply_s : float
+        On the wire, and so the longest that another waits behind it.
+    baud : int
+        Of a real serial line; None on USB, where bytes take no time worth counting.
     """
 
     def __init__(
         self,
         link: ByteLink,
         *,
-        wire_s: float = 0.0,
+        longest_reply_s: float = 0.0,
+        baud: int | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.clock = clock
         self.dialogue = Dialogue()
-        self.reply_s = REPLY_S + wire_s
+        self.reply_s = REPLY_S + longest_reply_s
+        self._baud = baud
+        self._asked = self._timeouts = 0
         self._link = link
         self._torn = False
 
@@ -51,6 +57,19 @@ class ScipLine:
     def address(self) -> str:
         """The address of the link, for messages."""
         return self._link.address
+
+    def counters(self) -> dict[str, int]:
+        """How the line fares; see `drivers.inspection`."""
+        return {
+            "asked": self._asked,
+            "timeouts": self._timeouts,
+            "damaged": self.dialogue.damaged,
+            "late": self.dialogue.strays,
+        }
+
+    def wire_s(self, size: int) -> float:
+        """Seconds that so many bytes take."""
+        return size * BITS_A_CHARACTER / self._baud if self._baud else 0.0
 
     def send(self, command: str) -> Asked:
         """Write a command now; its reply is taken from `dialogue`."""
@@ -100,6 +119,7 @@ class ScipLine:
         """
         damaged = self.dialogue.damaged
         asked = self.send(command)
+        self._asked += 1
         deadline_s = self.clock() + self.reply_s
         try:
             while (reply := self.dialogue.take(asked)) is None:
@@ -119,6 +139,7 @@ class ScipLine:
                 f"hokuyo at {self.address}: heard no {command}, status {reply.status}:"
                 f" {status_name(reply.status)}; check the cable"
             )
+        self._timeouts += 1
         if damaged := self.dialogue.damaged - damaged:
             raise FrameError(
                 f"hokuyo at {self.address}: {damaged} damaged replies and none to {command}; check"

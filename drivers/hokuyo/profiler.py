@@ -12,6 +12,12 @@ by a question. So this driver asks GD, which the sensor refuses while its laser 
 
 A range is whole millimetres; x and z are kept in counts of 1 um, from which step and range can be
 had again. A scan has no number of its own: `Profile.frame` counts those that were delivered.
+
+GD gives the newest scan, of whenever that was. After `discard` the first may be of before it, and
+the second was under way; only the third began after it::
+
+    turns      |    0    |    1    |    2    |
+    discarded         ^                        not 0, not 1: 2 is the first to be delivered
 """
 
 from __future__ import annotations
@@ -27,16 +33,16 @@ from numpy.typing import NDArray
 from drivers.axis import Identity
 from drivers.errors import FrameError, NoReply, Refused
 from drivers.hokuyo.codes import LASER_OFF, MISHEARD, OK, reasons_of, status_name
-from drivers.hokuyo.line import ScipLine, refusal
+from drivers.hokuyo.line import BITS_A_CHARACTER, ScipLine, refusal
 from drivers.hokuyo.wire import Asked, Reply, Scan, Stamps, Window, scan_command, scan_of
 from drivers.profiler import Profile, Tally
 
 _SLICE_S: Final = 0.02  # the longest single wait
-_MM_PER_COUNT: Final = 0.001
+MM_PER_COUNT: Final = 0.001
 _LONGEST_REPLY_S: Final = 0.05  # a switch-off is confirmed behind it
-_BITS_A_CHARACTER: Final = 10
 _LOOKS_A_SCAN: Final = 10
 _MOST_WAITING: Final = 1000  # reads: above what a port's buffer holds
+_STALE_SCANS: Final = 2  # that GD may still give after a discard
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,7 +77,7 @@ class Settings:
     @property
     def wire_s(self) -> float:
         """What a scan takes on the wire."""
-        return self.window.reply_bytes * _BITS_A_CHARACTER / self.baud if self.baud else 0.0
+        return self.window.reply_bytes * BITS_A_CHARACTER / self.baud if self.baud else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +111,8 @@ class Hokuyo:
         self._status = ""  # of the last scan that was refused
         self._stamps = Stamps()
         self._stamp_ms: int | None = None
-        self._profiles = self._torn = self._strange = 0
+        self._stale = 0  # so many scans are still of before, or half of it
+        self._profiles = self._lost = self._torn = self._strange = 0
 
     def identify(self) -> Identity:
         """Ask who it is, compare serial number, firmware and steps; switches nothing.
@@ -155,17 +162,17 @@ class Hokuyo:
                 raise NoReply(self._silence(timeout_s, self._bad - damaged))
 
     def discard(self) -> None:
-        """Forget the scan that was asked for: it may be of before the exposure."""
+        """Forget the scan that was asked for, and take only one that began after now."""
         if self._asked is not None:
             self._line.dialogue.give_up(self._asked)
-        self._asked, self._status = None, ""
+        self._asked, self._status, self._stale = None, "", _STALE_SCANS
         for _ in range(_MOST_WAITING):
             if not self._line.listen(0.0):
                 break
 
     def tally(self) -> Tally:
-        """What was lost so far; a scan that nobody asked for is no loss."""
-        return Tally(self._profiles, 0, self._torn, self._bad)
+        """What was lost so far: lost is a scan that was asked for and never came."""
+        return Tally(self._profiles, self._lost, self._torn, self._bad)
 
     @property
     def _name(self) -> str:
@@ -195,6 +202,7 @@ class Hokuyo:
         if self._line.clock() - self._asked_s > self._line.reply_s:
             self._line.dialogue.give_up(self._asked)
             self._asked = None
+            self._lost += 1
         return None
 
     def _taken(self, reply: Reply, geometry: Geometry) -> Profile | None:
@@ -214,6 +222,9 @@ class Hokuyo:
         if scan.stamp_ms == self._stamp_ms:
             return None  # the sensor has not turned since
         self._stamp_ms = scan.stamp_ms
+        if self._stale:
+            self._stale -= 1
+            return None
         self._profiles += 1
         time_s = self._stamps.seconds(scan.stamp_ms)
         return profile_of(scan, self._settings.window, geometry, time_s, self._profiles - 1)
@@ -270,10 +281,10 @@ def profile_of(
     ranges_mm = np.where(reasons == 0, scan.ranges, 0)
     angles = angles_rad(window, geometry)
     x_mm, z_mm = -ranges_mm * np.sin(angles), ranges_mm * np.cos(angles)
-    counts = np.rint(np.stack([x_mm, z_mm], axis=1) / _MM_PER_COUNT)
+    counts = np.rint(np.stack([x_mm, z_mm], axis=1) / MM_PER_COUNT)
     return Profile(
         counts=counts.astype(np.int32),
-        scale_mm=(_MM_PER_COUNT, _MM_PER_COUNT),
+        scale_mm=(MM_PER_COUNT, MM_PER_COUNT),
         offset_mm=(0.0, 0.0),
         reasons=reasons,
         intensity=np.empty(0, dtype=np.uint16),

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 from drivers.axis import Identity, Pause
 from drivers.bus import Bus
-from drivers.errors import NoReply
+from drivers.errors import FrameError, NoReply
 from drivers.profiler import Profile, Tally
 from drivers.register_profiler.layout import Layout, Table, decoded
 
@@ -36,6 +36,7 @@ class ReadTally:
     profiles: int = 0
     skipped: int = 0  # numbers that were never read whole: the device is faster than its line
     torn: int = 0  # reads in which the number changed
+    failed: int = 0  # reads that ended without a sound answer
 
 
 class RegisterProfiler:
@@ -127,7 +128,8 @@ class RegisterProfiler:
 
     def tally(self) -> Tally:
         """What was lost so far."""
-        return Tally(profiles=self._counts.profiles, lost_profiles=self._counts.skipped)
+        counts = self._counts
+        return Tally(counts.profiles, counts.skipped, bad_frames=counts.failed)
 
     def reads(self) -> ReadTally:
         """How reading went so far: a torn read was repeated, so that it is no torn profile."""
@@ -141,6 +143,9 @@ class RegisterProfiler:
         except StopIteration as whole:
             profile: Profile = whole.value
             return profile
+        except (NoReply, FrameError):
+            self._counts = replace(self._counts, failed=self._counts.failed + 1)
+            raise
         self._reading = reading
         return None
 

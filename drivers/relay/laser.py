@@ -212,6 +212,17 @@ class WatchedBlock:
             "from this program",
         )
 
+    def standing_guarantee(self) -> Guarantee:
+        """What its watchdog reads now; `guarantee` sets it. See `drivers.inspection`."""
+        try:
+            found_ms = self._watchdog_ms()
+        except Refused as refused:
+            return self._unguarded(f"it has no watchdog to read ({refused})")
+        set_ms = f"its watchdog reads {found_ms} ms, a scan sets {self._asked_ms} ms"
+        if not found_ms:
+            return Guarantee(None, f"{self._name}: {set_ms} before anything is lit")
+        return Guarantee(found_ms / 1000.0, f"{self._name}: {set_ms}")
+
     def on(self) -> None:
         """Switch on and read back; off again where that fails.
 

@@ -1,6 +1,14 @@
 """SICK Profiler 2: whole profiles by reads of its memory, on a half duplex serial line."""
 
-from drivers.sick.line import SickLine
-from drivers.sick.profiler import Addresses, ByteOrder, Settings, SickProfiler2
+from drivers.sick.line import FORGETS_S, SickLine
+from drivers.sick.profiler import Addresses, ByteOrder, Settings, SickProfiler2, reading_s
 
-__all__ = ["Addresses", "ByteOrder", "Settings", "SickLine", "SickProfiler2"]
+__all__ = [
+    "FORGETS_S",
+    "Addresses",
+    "ByteOrder",
+    "Settings",
+    "SickLine",
+    "SickProfiler2",
+    "reading_s",
+]

@@ -57,6 +57,7 @@ class SickLine:
     ) -> None:
         self.clock = clock
         self.bad = 0  # answers that were none
+        self._asked = self._timeouts = 0
         self._link = link
         self._baud = baud
         self._rests_until_s = 0.0
@@ -67,6 +68,11 @@ class SickLine:
     def address(self) -> str:
         """The address of the link, for messages."""
         return self._link.address
+
+    def counters(self) -> dict[str, int]:
+        """How the line fares; see `drivers.inspection`."""
+        timeouts = self._timeouts
+        return {"asked": self._asked, "timeouts": timeouts, "damaged": self.bad - timeouts}
 
     def ask(self, question: Question) -> bytes:
         """Ask what changes nothing, and wait for the answer's data; asked twice at most.
@@ -107,6 +113,7 @@ class SickLine:
         data = encoded(question.request)
         self._decoder = Decoder()
         sent_s = self.clock()
+        self._asked += 1
         self._link.write(data)
         bytes_due = len(data) + AROUND + question.answer_bytes
         deadline_s = sent_s + self._wire_s(bytes_due) + turn_s(self._baud) + _LATENCY_S
@@ -128,6 +135,7 @@ class SickLine:
         if not frames and self._decoder.dropped:
             raise FrameError(f"{said}: {self._decoder.dropped} bytes of no frame; check the cable")
         if not frames:
+            self._timeouts += 1
             raise NoReply(
                 f"{said}: no answer; is the sensor on, are baud rate and the wires A and B right?"
             )

@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from drivers.axis import Identity
 from drivers.errors import FrameError, NoReply
 from drivers.profiler import Profile, Reason, Tally
-from drivers.sick.line import Question, SickLine
-from drivers.sick.wire import PROFILE_ADDRESS, Frame, Size, memory_read
+from drivers.sick.line import Question, SickLine, turn_s
+from drivers.sick.wire import AROUND, PROFILE_ADDRESS, Frame, Size, memory_read
 
 NO_MEASUREMENT: Final = 0x7FFF
 _POINTS_A_READ: Final = 126
@@ -35,6 +35,9 @@ _WORDS_A_POINT: Final = 2
 _POINTS_AT: Final = 4  # from the profile's address on
 _SIZE_A_POINT: Final = 32
 _MOST_POINTS: Final = 2047  # what a size of 16 bits can say
+_READ_BYTES: Final = AROUND + 6  # of a request for memory
+_BITS_A_CHARACTER: Final = 10
+_HOST_S: Final = 0.002  # of a host and its adapter, for each question
 
 
 class ByteOrder(Enum):
@@ -93,6 +96,10 @@ class SickProfiler2:
         address = self._address_of(self._line.ask(_ADDRESS))
         points = self._points_of(self._line.ask(_size_at(address)))
         return Identity(family="sick", model=f"Profiler 2, {points} points", firmware="")
+
+    def counters(self) -> dict[str, int]:
+        """How the line fares; see `drivers.inspection`."""
+        return self._line.counters()
 
     def profiles(self, timeout_s: float) -> Iterator[Profile]:
         """Yield profiles as they are read.
@@ -197,6 +204,15 @@ def piece_counts(points: int) -> list[int]:
         counts.append(next(c for c in range(longest, 0, -1) if c not in counts[-2:]))
         points -= counts[-1]
     return counts
+
+
+def reading_s(points: int, baud: int) -> float:
+    """What one profile takes: its bytes on the wire, and a turn of the line for each question."""
+    pieces = piece_counts(points)
+    asked = AROUND + (1 + len(pieces)) * _READ_BYTES
+    answered = (2 + len(pieces)) * AROUND + 4 + 2 + 2 * _WORDS_A_POINT * points
+    turns_s = (2 + len(pieces)) * (turn_s(baud) + _HOST_S)
+    return (asked + answered) * _BITS_A_CHARACTER / baud + turns_s
 
 
 def profile_of(

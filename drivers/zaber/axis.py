@@ -66,6 +66,10 @@ class ZaberAxis:
         """
         return self._identity or self._open(None)
 
+    def inspect(self) -> Identity:
+        """As `identify`, by questions alone; see `drivers.inspection`."""
+        return self._introduced(None)
+
     def state(self) -> AxisState:
         """Status, flags and position; see `Axis.state`."""
         return self._state_of(self._status(None), None)
@@ -229,12 +233,19 @@ class ZaberAxis:
     def _open(self, pause: Pause | None) -> Identity:
         """Who it is, and whether it is what the station says; moves nothing."""
         self._homed_at = None
-        settings, device = self._settings, self._settings.device
+        device = self._settings.device
         first = self._chain.ask(device, 0, "get deviceid", pause)
         if not first.checked:
             with suppress(NoReply, FrameError):  # the next reply shows whether it was heard
                 self._chain.order(device, 0, "set comm.checksum 1", pause)
         self._chain.expect_checks(device)
+        identity = self._introduced(pause)
+        self._set_speed(pause)
+        self._identity = identity
+        return identity
+
+    def _introduced(self, pause: Pause | None) -> Identity:
+        settings, device = self._settings, self._settings.device
         identity = Identity(
             family="zaber",
             model=f"device id {self._chain.ask(device, 0, 'get deviceid', pause).data}",
@@ -252,8 +263,6 @@ class ZaberAxis:
             )
         self._check_scale(pause)
         self._check_limits(pause)
-        self._set_speed(pause)
-        self._identity = identity
         return identity
 
     def _check_scale(self, pause: Pause | None) -> None:

@@ -41,6 +41,7 @@ class Chain:
     def __init__(self, link: ByteLink, *, clock: Callable[[], float] = time.monotonic) -> None:
         self.clock = clock
         self.dialogue = Dialogue()
+        self._asked = self._timeouts = 0
         self.losses = 0  # of the link: whoever was homed before one is not any more
         self._link = link
         self._torn = False
@@ -50,6 +51,15 @@ class Chain:
     def address(self) -> str:
         """The address of the link, for messages."""
         return self._link.address
+
+    def counters(self) -> dict[str, int]:
+        """How the line fares; see `drivers.inspection`."""
+        return {
+            "asked": self._asked,
+            "timeouts": self._timeouts,
+            "damaged": self.dialogue.damaged,
+            "late": self.dialogue.strays,
+        }
 
     def expect_checks(self, device: int) -> None:
         """From now on a reply of this device without a check is damaged."""
@@ -87,6 +97,7 @@ class Chain:
     def _exchange(self, device: int, axis: int, command: str, pause: Pause | None) -> Reply:
         asked, data = self.dialogue.send(device, axis, command, self.clock())
         damaged = self.dialogue.damaged
+        self._asked += 1
         try:
             self._write(data)
             reply = self._reply(asked, pause)
@@ -105,6 +116,7 @@ class Chain:
         return reply
 
     def _sound(self, asked: Asked, reply: Reply | None, damaged: int) -> Reply:
+        self._timeouts += reply is None
         said = f"{self.address}: device {asked.device}, {asked.command or 'status'!r}"
         if reply is None and damaged:
             raise FrameError(f"{said}: {damaged} damaged lines, no sound reply; check the cable")

@@ -22,6 +22,9 @@ def devices(
     station: Annotated[
         Path | None, typer.Argument(metavar="[STATION.toml]", help="Ask its devices, too.")
     ] = None,
+    times: Annotated[
+        int, typer.Option(min=1, help="Ask each so often: counters tell a bad cable.")
+    ] = 1,
     json_lines: JsonLines = False,
     debug: Debug = False,
 ) -> None:
@@ -31,7 +34,7 @@ def devices(
         if station is None:
             _tell_machine(json_lines=json_lines)
         else:
-            _tell_station(station, json_lines=json_lines)
+            _tell_station(station, times, json_lines=json_lines)
 
     run(work, debug=debug)
 
@@ -55,7 +58,7 @@ def _tell_machine(*, json_lines: bool) -> None:
         print(f"{check.what}: {check.trouble or 'ok'}")
 
 
-def _tell_station(station: Path, *, json_lines: bool) -> None:
+def _tell_station(station: Path, times: int, *, json_lines: bool) -> None:
     from acquisition.errors import Stopped
     from acquisition.scan import StopRequest, Wish
     from loftscan.signals import ENDING, heeding
@@ -64,11 +67,11 @@ def _tell_station(station: Path, *, json_lines: bool) -> None:
 
     settings, stop = station_of(station), StopRequest()
     with heeding(dict.fromkeys(ENDING, stop.now)):
-        findings = survey(settings)
+        findings = survey(settings, times=times)
     for each in findings:
         print(json.dumps(_as_json(each)) if json_lines else _in_words(each), flush=True)
     if stop.wish is not Wish.GO_ON:
-        raise Stopped("stopped by the operator; the laser is off, nothing has moved")
+        raise Stopped("stopped by the operator; nothing was changed")
     if silent := [each.role for each in findings if each.trouble]:
         fail(
             4,
@@ -93,6 +96,7 @@ def _as_json(found: Finding) -> dict[str, object]:
         "alarm": None if state is None else state.alarm,
         "laser_off_within_ms": None if promise is None else _watchdog_ms(promise.watchdog_s),
         "guarantee": None if promise is None else promise.sentence,
+        "counters": dict(found.counters),
         "advice": found.advice,
         "trouble": found.trouble,
     }
@@ -114,6 +118,9 @@ def _in_words(found: Finding) -> str:
         lines.append(f"{_INDENT}{found.guarantee.sentence} ({promise})")
     if found.tier:
         lines.append(f"{_INDENT}protocol checked: {found.tier}")
+    if found.counters:
+        counted = ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in found.counters.items())
+        lines.append(f"{_INDENT}line: {counted}")
     lines.append(f"{_INDENT}{found.trouble or found.advice or 'ok'}")
     return "\n".join(lines)
 

@@ -31,7 +31,7 @@ def init(
     table_family: Annotated[str, typer.Option(help="grbl, zaber or oriental.")] = "grbl",
     stage_family: Annotated[str, typer.Option(help="leadshine, zaber or oriental.")] = "leadshine",
     profiler_family: Annotated[
-        str, typer.Option(help="baumer_ox, riftek, registers or banner_ez_array.")
+        str, typer.Option(help="baumer_ox, riftek, registers, banner_ez_array, hokuyo or sick.")
     ] = "baumer_ox",
     profiler: Address = None,
     profiles: Address = None,

@@ -1,8 +1,9 @@
 """The scanner between its port and the World: a `sim.device.Device`.
 
 After C-42-03320B. It turns all the time and measures while its laser is on. GD gives the newest
-scan and is refused in the dark; MD lights the laser itself and streams until QT or until it is
-done. QT and RS are done as they are read, whatever is still to be said.
+scan, which right after BM is one of before QT, and is refused in the dark; MD lights the laser
+itself and streams until QT or until it is done. QT and RS are done as they are read, whatever is
+still to be said.
 """
 
 from __future__ import annotations
@@ -60,6 +61,8 @@ class HokuyoScanner:
         self._line = b""
         self._scip_1 = self._told.begins_in_scip_1
         self._stream: _Stream | None = None
+        self._lit_turn = -1
+        self._held: tuple[int, SimProfile] | None = None  # turn and scan of before it was dark
 
     def receive(self, data: bytes, now_s: float) -> bytes:
         """Take characters off the wire; answer each line."""
@@ -160,16 +163,24 @@ class HokuyoScanner:
         return plain(line, "00")
 
     def _scan(self, echo: str, status: str, steps: _Steps, width: int, now_s: float) -> bytes:
-        profile = self._world.look(now_s)
-        if profile is None:
+        measured = self._measured(now_s)
+        if measured is None:
             return plain(echo, "10")
+        turn, profile = measured
         ranges = self._ranges(profile, steps)
-        turn_ms = round(self._turn(now_s) * 60_000 / self._told.rpm)
+        turn_ms = round(turn * 60_000 / self._told.rpm)
         self._world.witness.note(
-            now_s, "profile", frame=self._turn(now_s), seen=int(np.count_nonzero(profile.seen)),
+            now_s, "profile", frame=turn, seen=int(np.count_nonzero(profile.seen)),
             table_rad=self._world.table.load(now_s), stage_mm=self._world.stage.load(now_s),
         )  # fmt: skip
         return scan(echo, status, self._told.clock_ms + turn_ms, ranges, width)
+
+    def _measured(self, now_s: float) -> tuple[int, SimProfile] | None:
+        """The newest scan and its turn: in the turn in which it was lit, one of before."""
+        turn, profile = self._turn(now_s), self._world.look(now_s)
+        if profile is None:
+            return None
+        return self._held if self._held and turn <= self._lit_turn else (turn, profile)
 
     def _ranges(self, profile: SimProfile, steps: _Steps) -> list[int]:
         """The nearest of each cluster's steps; a code where none of them has a range."""
@@ -200,6 +211,11 @@ class HokuyoScanner:
         return ranges
 
     def _switch(self, now_s: float, *, on: bool, why: str) -> None:
+        turn, seen = self._turn(now_s), self._world.look(now_s)
+        if on and seen is None:
+            self._lit_turn = turn
+        elif not on and seen is not None:
+            self._held = turn, seen
         self._world.switch_laser(now_s, on=on, why=why)
 
     def _turn(self, now_s: float) -> int:

@@ -8,9 +8,28 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from acquisition.profiler_settings import BannerEzArray, RegisterProfiler, Riftek, RiftekTrigger
-from acquisition.profilers import as_it_is, lost_profile, profiler_maker
-from acquisition.station import Station, parse_station, write_station
+from acquisition.ports import check_ports
+from acquisition.profiler_settings import (
+    BannerEzArray,
+    Hokuyo,
+    HokuyoPort,
+    RegisterProfiler,
+    Riftek,
+    RiftekTrigger,
+    SickAddresses,
+    SickByteOrder,
+    SickProfiler2,
+)
+from acquisition.profilers import as_it_is, lost_profile, patience_s, profiler_maker
+from acquisition.station import (
+    GrblLaser,
+    HokuyoLaser,
+    NoLaserSwitch,
+    Station,
+    parse_station,
+    write_station,
+)
+from drivers import sick
 from drivers.profiler import Reason
 from drivers.register_profiler import Flag, Packing, Table, Trigger, WordOrder
 from drivers.riftek import Sync
@@ -41,13 +60,23 @@ RIFTEK = Riftek(
 SCREEN = BannerEzArray(
     address="tcp://192.168.1.31:502", rate_hz=20.0, points_per_profile=120, channel_pitch_mm=5.0
 )
+HOKUYO = Hokuyo(address="serial:///dev/ttyUSB2?baud=750000", first_step=304, last_step=464)
+SICK = SickProfiler2(
+    address="serial:///dev/ttyUSB3?baud=2000000",
+    points=832,
+    x_mm_per_count=0.0005,
+    z_mm_per_count=-0.0005,
+    z_offset_mm=150.0,
+)
+EVERY = [STATION.profiler, REGISTERS, RIFTEK, SCREEN, HOKUYO, SICK]
+OWN = HokuyoLaser(address=HOKUYO.address)
 
 
 def station_with(profiler: object) -> Station:
     return replace(STATION, profiler=profiler)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("profiler", [REGISTERS, RIFTEK, SCREEN])
+@pytest.mark.parametrize("profiler", EVERY)
 def test_a_station_with_this_profiler_is_written_and_read_back(profiler) -> None:
     station = station_with(profiler)
     text = write_station(station)
@@ -82,7 +111,7 @@ def test_what_is_written_to_a_riftek_is_in_its_units_and_can_be_left_out() -> No
     assert as_it_is(REGISTERS) is REGISTERS
 
 
-@pytest.mark.parametrize("profiler", [REGISTERS, RIFTEK, SCREEN, STATION.profiler])
+@pytest.mark.parametrize("profiler", EVERY)
 def test_a_lost_profile_has_every_place_of_this_family(profiler) -> None:
     lost = lost_profile(profiler)
     assert np.all(lost.reasons == Reason.LOST)
@@ -124,6 +153,19 @@ def test_a_lost_profile_has_every_place_of_this_family(profiler) -> None:
         (RIFTEK, "exposure_us = 300.0", "exposure_us = 1.0", "exposure_us: 1.0 is out of bounds"),
         (RIFTEK, 'address = "tcp://192.168.1.30:80"', 'address = "http://192.168.1.30"',
          "profiler.address: 'http://192.168.1.30' is no address; begin it with one of tcp://"),
+        (HOKUYO, "last_step = 464", "last_step = 300",
+         "profiler.first_step: 304 is above last_step 300; swap them"),
+        (HOKUYO, "cluster = 1", "cluster = 0", "profiler.cluster: 0 is out of bounds"),
+        (HOKUYO, "baud=750000", "baud=19200", 'raise the baud rate; or write port = "usb"'),
+        (HOKUYO, 'port = "rs-232"', 'port = "serial"', "profiler.port: 'serial' is not known"),
+        (SICK, 'address = "serial:[^"]*"', 'address = "tcp://192.168.1.30:502"',
+         "profiler.address: 'tcp://192.168.1.30:502' is no address; begin it with one of serial://"),
+        (SICK, "thinning = 1", "thinning = 16", "profiler.thinning: 16 is out of bounds"),
+        (SICK, "points = 832", "points = 2048", "profiler.points: 2048 is out of bounds"),
+        (SICK, "x_mm_per_count = 0.0005", "x_mm_per_count = 0.0", "x_mm_per_count: 0.0 is out"),
+        (SICK, "z_mm_per_count = -0.0005", "z_mm_per_count = 0.0",
+         "z_mm_per_count = 0.0; it must be finite and not 0"),
+        (SICK, 'byte_order = "high byte first"', 'byte_order = "big"', "byte_order: 'big' is not"),
         (RIFTEK, 'profiles = "udp://:50001"', 'profiles = "udp://"', "profiler.profiles: address"),
     ],
 )  # fmt: skip
@@ -139,5 +181,71 @@ def test_what_is_wrong_is_named_in_one_line(profiler, pattern, instead, said) ->
 
 
 def test_a_maker_checks_its_settings_and_opens_nothing() -> None:
-    for profiler in (REGISTERS, RIFTEK, SCREEN, STATION.profiler):
+    for profiler in EVERY:
         assert callable(profiler_maker(profiler))
+
+
+# -- Hokuyo and SICK ------------------------------------------------------------------------------
+
+
+def test_what_the_file_says_of_a_hokuyo_is_what_its_driver_asks_by() -> None:
+    told = replace(HOKUYO, cluster=3, serial="H1", firmware="3.")
+    driver = told.driver_settings
+    assert (driver.first_step, driver.last_step, driver.cluster) == (304, 464, 3)
+    assert (driver.baud, driver.serial, driver.firmware) == (750_000, "H1", "3.")
+    assert told.points_per_profile == 54  # 161 steps by three
+    # On USB and on a network bytes take no time, whatever rate the address has.
+    assert replace(HOKUYO, port=HokuyoPort.USB).driver_settings.baud is None
+    assert replace(HOKUYO, address="tcp://192.168.0.10:10940").driver_settings.baud is None
+
+
+def test_what_the_file_says_of_a_sick_is_what_its_driver_reads_by() -> None:
+    told = replace(SICK, thinning=4, byte_order=SickByteOrder.LITTLE, addresses=SickAddresses.BYTES)
+    driver = told.driver_settings
+    assert (driver.points, driver.thinning, told.points_per_profile) == (832, 4, 208)
+    assert (driver.byte_order, driver.addresses) == (sick.ByteOrder.LITTLE, sick.Addresses.BYTES)
+    assert (driver.x_mm_per_count, driver.z_mm_per_count) == (0.0005, -0.0005)
+
+
+def test_a_sick_is_as_fast_as_its_line() -> None:
+    """832 points are 3328 bytes, and about 8 questions; the manual's own arithmetic."""
+    slow = replace(SICK, address="serial:///dev/ttyUSB3?baud=115200")
+    assert 1.0 / slow.rate_hz == pytest.approx(0.31, abs=0.03)
+    assert 1.0 / SICK.rate_hz == pytest.approx(0.037, abs=0.005)
+    # A lost answer costs 2 s, until the sensor has forgotten the question: that is waited for.
+    assert patience_s(SICK) > 2.0 + 2.0 / SICK.rate_hz
+    assert patience_s(HOKUYO) == pytest.approx(0.55)
+
+
+def test_a_hokuyo_switches_its_own_laser_and_nobody_elses() -> None:
+    station = replace(STATION, profiler=HOKUYO, laser=OWN)
+    assert parse_station(write_station(station)) == station
+    with pytest.raises(ValueError, match=r"^laser\.switch: a sick profiler has no switch"):
+        replace(station, profiler=SICK)
+    with pytest.raises(ValueError, match=r"^laser\.address: serial.* is not the profiler's"):
+        replace(station, laser=HokuyoLaser(address="serial:///dev/ttyUSB9?baud=750000"))
+    # A relay in its supply line may switch a sensor that measures as soon as it has power.
+    replace(station, laser=STATION.laser)
+
+
+def test_a_scanner_shares_its_port_with_its_own_laser_alone() -> None:
+    own = replace(STATION, profiler=HOKUYO, laser=OWN)
+    check_ports(own)
+    bus = replace(STATION.stage, address=HOKUYO.address)
+    with pytest.raises(ValueError, match="Modbus and SCIP cannot share one; give it its own"):
+        check_ports(replace(own, stage=bus))
+
+
+@pytest.mark.parametrize("role", ["table", "stage"])
+def test_a_sick_shares_its_port_with_nobody(role: str) -> None:
+    device = replace(getattr(STATION, role), address=SICK.address)
+    crowded = replace(station_with(SICK), laser=NoLaserSwitch(), **{role: device})
+    said = "profiler.address: /dev/ttyUSB3 is the .*SICK's protocol cannot share one"
+    with pytest.raises(ValueError, match=said):
+        check_ports(crowded)
+
+
+def test_a_laser_board_shares_its_port_with_no_modbus_device() -> None:
+    board = GrblLaser(address=STATION.stage.address)
+    with pytest.raises(ValueError, match="Modbus and Grbl cannot share one; give it its own"):
+        check_ports(replace(STATION, laser=board))

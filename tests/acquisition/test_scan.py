@@ -30,7 +30,7 @@ from acquisition.scan import (
 )
 from acquisition.station import Station, TableZero
 from drivers.axis import AxisState, Identity, Kind, Motion, Pause
-from drivers.errors import DriverError, LinkLost, NoReply, Refused
+from drivers.errors import DriverError, FrameError, LinkLost, NoReply, Refused
 from drivers.laser import Guarantee
 from drivers.profiler import Profile, Reason, Tally
 from tests.acquisition.scan_cases import STATION
@@ -167,7 +167,7 @@ class FakeProfiler:
 
     bench: Bench
     period_s: float = 0.01
-    script: list[str] = field(default_factory=list)  # whole, torn, silent or stall
+    script: list[str] = field(default_factory=list)  # whole, torn, silent, damaged or stall
     frame: int = 0
     stale: bool = True
 
@@ -188,6 +188,9 @@ class FakeProfiler:
             raise NoReply(f"profiler: no profile in {timeout_s} s; is the laser on?")
         if kind == "stall":
             raise NoReply("profiler: stalled")
+        if kind == "damaged":
+            self.bench.pass_time(min(self.period_s, timeout_s))
+            raise FrameError("profiler: an answer with a wrong check; check the cable")
         self.bench.pass_time(min(self.period_s, timeout_s))
         self.frame += 1
         self.stale = True
@@ -447,6 +450,21 @@ def test_a_profile_lost_four_times_is_kept_as_lost_and_counted() -> None:
     assert len(lost.reasons) == STATION.profiler.points_per_profile
     assert [profile.frame for profile in sweeps[0].profiles] == [1, -1, 2, 3]
     assert [each.lost_profiles for each in told[:3]] == [0, 1, 1]
+
+
+def test_a_damaged_answer_of_the_profiler_costs_an_exposure_and_not_the_scan() -> None:
+    at = rig()
+    at.profiler.script = ["damaged", "whole", "damaged", "damaged", "damaged", "damaged"]
+    told: list[Progress] = []
+    sweeps = at.take(progress=told.append)
+    assert [profile.frame for profile in sweeps[0].profiles] == [1, -1, 2, 3]
+    assert [each.lost_profiles for each in told[:3]] == [0, 1, 1]
+    assert at.at_rest
+    gone = rig()
+    gone.profiler.script = ["damaged"] * 100
+    with pytest.raises(NoReply, match=r"3 stops in a row, .*check the cable"):
+        gone.take()
+    assert gone.at_rest
 
 
 def test_a_profiler_that_sends_nothing_ends_the_scan_with_its_remedy() -> None:

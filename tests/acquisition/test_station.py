@@ -157,8 +157,8 @@ def edited(pattern: str, instead: str) -> str:
         ('^family = "grbl"\n', "", 'table.family is missing; write family = "grbl"'),
         (
             '^switch = "relay"',
-            'switch = "hokuyo"',
-            'laser.switch: \'hokuyo\' is not known; write "relay" or "grbl" or "none"',
+            'switch = "lamp"',
+            'laser.switch: \'lamp\' is not known; write "relay" or "grbl" or "hokuyo" or "none"',
         ),
         ('^switch = "relay"', 'switch = "none"', "laser.family: unknown key; remove it"),
         (

@@ -23,7 +23,7 @@ from tests.campaigns.deaths import (
     strike,
 )
 
-DEVICES = "plain,grbl,plain-tcp,turck,timed,plain-9600"
+DEVICES = "plain,grbl,plain-tcp,turck,timed,plain-9600,hokuyo"
 _OTHERS, _FEWEST = 10, 30  # of the devices after the first: a tenth, and at least so many
 _OF_THE_HARDWARE = 30  # they wait for time-outs of seconds
 SCALE = 8.0
@@ -66,9 +66,10 @@ def _one_device(device: str, count: int, ways: Sequence[str], seed: int, jobs: i
 
 
 def _play(device: str, cards: Sequence[tuple[Death, str, float]]) -> list[End]:
+    own = "hokuyo" if device == "hokuyo" else None  # a scanner lights its own laser
     with (
         tempfile.TemporaryDirectory(prefix="loftscan-safety-") as folder,
-        simulate("cylinder", scale=SCALE, seed=1, laser=device) as station,
+        simulate("cylinder", scale=SCALE, seed=1, laser=device, profiler=own) as station,
         owners(Path(folder)) as by,
     ):
         # A simulator compiles with its first picture, and hears nobody meanwhile.

@@ -22,7 +22,8 @@ from acquisition.plan import Plan, write_plan
 from acquisition.scan_record import State
 from acquisition.scanfile import ScanFolder
 from loftscan.simulation import Simulated
-from tests.campaigns.kinds import WATCHDOG_S, Kind, Struck
+from tests.campaigns.deaths import WATCHDOG_S
+from tests.campaigns.kinds import Kind, Struck
 from tests.campaigns.testimony import (
     Event,
     Witnessed,

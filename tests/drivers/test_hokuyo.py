@@ -18,7 +18,7 @@ import pytest
 from drivers.errors import DriverError, NoReply, Refused
 from drivers.hokuyo import Geometry, Hokuyo, HokuyoLaser, ScipLine, Settings
 from drivers.hokuyo.profiler import angles_rad, profile_of
-from drivers.hokuyo.wire import Scan, Window
+from drivers.hokuyo.wire import Scan, Window, scan_command, scan_of
 from drivers.laser import LaserSwitch
 from drivers.profiler import Profiler, Reason, Tally
 from drivers.recipes import Recited
@@ -31,6 +31,7 @@ from tests.sim.judges import dark_world
 
 URG = Geometry("URG-04LX(Hokuyo Automatic Co.,Ltd.)", 20, 5600, 1024, 44, 725, 384, 600)
 WINDOW = Settings(first_step=304, last_step=464)
+ABOVE_THE_PEG_MM = 60.0
 
 
 class Rig:
@@ -44,7 +45,9 @@ class Rig:
         self.clock = Clock()
         self.scanner = HokuyoScanner(self.world, told)
         self.wire = VirtualWire(self.clock, wrap(self.scanner))
-        self.line = ScipLine(self.wire, wire_s=settings.wire_s, clock=self.clock)
+        self.line = ScipLine(
+            self.wire, longest_reply_s=settings.wire_s, baud=settings.baud, clock=self.clock
+        )
         self.profiler = Hokuyo(self.line, settings)
         self.laser = HokuyoLaser(self.line)
 
@@ -181,6 +184,38 @@ def test_profiles_are_what_stands_in_front_each_turn_once() -> None:
     assert np.allclose(mine, np.rint(mine), atol=0.002)
     right = profiles[-1].points_mm[:, 0]
     assert right.min() < 0.0 < right.max()
+
+
+def test_a_scan_of_before_the_discard_or_half_of_it_is_not_delivered() -> None:
+    """GD gives the newest scan: right after BM, one of before QT, with a stamp of its own."""
+    rig = Rig()
+    rig.laser.on()
+    assert len(next(rig.profiler.profiles(1.0)).points_mm) > 0
+    rig.wire.sleep(0.12)  # another turn, that nobody asked for
+    rig.laser.off()
+    rig.world.stage.go(ABOVE_THE_PEG_MM, rig.clock(), speed=100.0)
+    rig.wire.sleep(0.1 + rig.world.stage.ends_s() - rig.clock())
+    rig.laser.on()
+    stale = scan_of(rig.line.ask(scan_command(WINDOW.window)), WINDOW.window)
+    assert np.any(stale.ranges > 20)  # the peg, which is below by now
+    rig.profiler.discard()
+    lit_s = rig.clock()
+    after = next(rig.profiler.profiles(1.0))
+    assert len(after.points_mm) == 0
+    assert 0.1 < rig.clock() - lit_s < 0.35  # a whole turn at least, three and a look at most
+
+
+def test_a_scan_that_was_asked_for_and_never_came_is_counted() -> None:
+    rig = Rig()
+    rig.laser.on()
+    rig.profiler.geometry()
+    receive = rig.scanner.receive
+    rig.scanner.receive = lambda data, now_s: b""  # type: ignore[method-assign]
+    with pytest.raises(NoReply, match="is the sensor on"):
+        next(rig.profiler.profiles(0.35))
+    rig.scanner.receive = receive  # type: ignore[method-assign]
+    next(rig.profiler.profiles(1.0))
+    assert 3 <= rig.profiler.tally().lost_profiles <= 4
 
 
 def test_frames_of_axes_are_those_drawn() -> None:

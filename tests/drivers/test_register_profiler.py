@@ -267,6 +267,22 @@ def test_a_device_that_is_always_torn_is_said_to_be_too_fast() -> None:
         take(device(bank, LONG))
 
 
+def test_a_read_that_ends_without_an_answer_is_counted_and_begun_anew() -> None:
+    bank = Bank()
+    filled(bank, LONG, 1, 1)
+    profiler = device(bank, LONG)
+    with pytest.raises(NoReply):
+        take(profiler)
+    filled(bank, LONG, 2, 1)
+    bank.silent = True
+    for _ in range(3):
+        with pytest.raises(NoReply, match="no answer"):
+            take(profiler)
+    bank.silent = False
+    assert [profile.frame for profile in take(profiler)] == [2]
+    assert profiler.tally() == Tally(profiles=1, bad_frames=3)
+
+
 def test_every_number_is_told_once_and_over_65535_comes_0() -> None:
     bank = Bank()
     filled(bank, LONG, 65_534, 1)

@@ -15,7 +15,7 @@ from acquisition.frames import Kind, Kinematics, Lifting, Turning
 from acquisition.plan import ring
 from acquisition.poses import Pose, Sweep
 from acquisition.scan import Progress, StopRequest
-from drivers.profiler import Profile, Reason
+from drivers.profiler import Profile, Reason, Tally
 from loftscan.coverage import turn_coverage
 from loftscan.profile_view import Glyphs, numbers, picture, sentence, table
 from loftscan.scan_folders import in_bytes
@@ -158,6 +158,24 @@ def test_points_that_were_lost_on_the_wire_are_told_at_the_end() -> None:
     assert said[Manner.LINES].startswith("warning: 2 profiles are kept with 4 points lost between")
     end = json.loads(said[Manner.JSON])
     assert (end["torn_profiles"], end["lost_points"]) == (2, 4)
+
+
+def test_frames_that_were_dropped_on_their_way_are_told_at_the_end() -> None:
+    here = SimpleNamespace(out=Path("part.scan"), plan=ring(0.0, 1.0, 1.0, 3))
+    for tally, count in ((Tally(90), 0), (Tally(90, 3, 1, 2), 1)):
+        for manner in (Manner.LINES, Manner.JSON):
+            text = io.StringIO()
+            teller = ScanTeller(text, manner, KINEMATICS, StopRequest(), clock=lambda: 0.0)
+            teller.stopped_at(Progress(1, 1, 2, 3, 3, 0, tally))
+            teller.done(here)
+            lines = text.getvalue().splitlines()
+            if manner is Manner.JSON:
+                (end,) = map(json.loads, lines)
+                counts = [end[f"{name}_frames"] for name in ("dropped", "torn", "bad")]
+                assert counts == [tally.lost_profiles, tally.torn_profiles, tally.bad_frames]
+            else:
+                said = "profiler: 3 frames dropped, 1 torn, 2 damaged on their way; exposures were"
+                assert len([line for line in lines if line.startswith(said)]) == count
 
 
 @pytest.mark.parametrize(

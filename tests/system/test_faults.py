@@ -259,16 +259,18 @@ def test_an_emergency_stop_that_is_pressed_already(place: Path, plan: str) -> No
         succeeded(run("scan", station, plan, "--out", "part.scan"))
 
 
-@pytest.mark.parametrize("laser", ["plain", "grbl", "timed", "none"])
+@pytest.mark.parametrize("laser", ["plain", "grbl", "timed", "hokuyo", "none"])
 def test_a_laser_that_only_a_person_could_turn_off_is_not_lit_for_nobody(
     place: Path, plan: str, laser: str
 ) -> None:
-    with simulate(seed=SEED, scale=SCALE, laser=laser) as station:
+    profiler = "hokuyo" if laser == "hokuyo" else None
+    with simulate(seed=SEED, scale=SCALE, laser=laser, profiler=profiler) as station:
         end = scan(station, plan)
         titles = {
             "plain": "Nobody is there to press the emergency stop",
             "grbl": "Nobody is there, and a Grbl board switches the laser",
             "timed": "Nobody is there, and a timed relay switches the laser",
+            "hokuyo": "Nobody is there, and a scanner switches its own laser",
             "none": "Nobody is there, and nothing switches the laser",
         }
         assert_told(end.line, end.code, titles[laser])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shutil
 import subprocess
@@ -17,6 +18,7 @@ from scipy.spatial import cKDTree
 
 from acquisition.frames import part_points
 from acquisition.plan import ring, write_plan
+from acquisition.safety.promises import Attendance
 from acquisition.station import parse_station, read_station, write_station
 from drivers.errors import NoReply
 from drivers.links import open_link
@@ -24,12 +26,22 @@ from drivers.profiler import Reason
 from drivers.riftek import WebApi
 from loftscan import Station, scan, simulate
 from loftscan.simulation import Simulated
+from sim.judging import Surface, judge
+from sim.parts import find_part
+from tests.system.command_cases import run, succeeded
 
 SEED, STOPS = 11, 12
 FIRST_MM, LAST_MM, STEP_MM = 38.0, 58.0, 20.0
 # As for the axes: sampled 0.2 mm apart, noise of 0.02 mm. Columns 0.25 mm apart add nothing, since
-# they lie on the line between two beams.
-WITHIN_MM = 0.25
+# they lie on the line between two beams. A Hokuyo rounds its ranges to whole millimetres: half of
+# one more.
+FINE_MM = 0.25
+WITHIN_MM = {
+    "baumer_ox": FINE_MM, "riftek": FINE_MM, "registers": FINE_MM, "sick": FINE_MM,
+    "hokuyo": FINE_MM + 0.5,
+}  # fmt: skip
+# Of each slice: the steps of a Hokuyo are 1.4 mm apart where others have 0.2.
+LEAST_POINTS = {"hokuyo": 100}
 
 
 def truth(station: Simulated) -> cKDTree:
@@ -45,7 +57,7 @@ def blade(profiler: str, **more: object):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("profiler", ["baumer_ox", "riftek", "registers"])
+@pytest.mark.parametrize("profiler", list(WITHIN_MM))
 def test_a_scan_with_this_profiler_lies_on_the_part(profiler: str, tmp_path: Path) -> None:
     plan = tmp_path / "plan.toml"
     plan.write_text(write_plan(ring(FIRST_MM, LAST_MM, STEP_MM, STOPS)))
@@ -54,16 +66,16 @@ def test_a_scan_with_this_profiler_lies_on_the_part(profiler: str, tmp_path: Pat
         assert told.profiler.family == profiler
         assert parse_station(write_station(told)) == told
         with Station.open(station) as opened:
-            sweeps = scan(opened, plan)
+            sweeps = scan(opened, plan, attendance=Attendance.PRESENT)
             taken = list(sweeps)
         tree = truth(station)
         events = [json.loads(line) for line in station.witness.read_text().splitlines()]
     assert [len(sweep.profiles) for sweep in taken] == [STOPS, STOPS]
     for sweep in taken:
         points_mm = part_points(sweep, sweeps.kinematics)
-        assert len(points_mm) > 500
+        assert len(points_mm) > LEAST_POINTS.get(profiler, 500)
         off_mm, _ = tree.query(points_mm)
-        assert np.percentile(off_mm, 99) < WITHIN_MM
+        assert np.percentile(off_mm, 99) < WITHIN_MM[profiler]
         for profile in sweep.profiles:
             assert not np.any(profile.reasons == Reason.LOST)
             assert len(profile.reasons) == told.profiler.points_per_profile
@@ -72,7 +84,7 @@ def test_a_scan_with_this_profiler_lies_on_the_part(profiler: str, tmp_path: Pat
     assert lit.count(True) >= 2 * STOPS
 
 
-@pytest.mark.parametrize("profiler", ["riftek", "registers"])
+@pytest.mark.parametrize("profiler", ["riftek", "registers", "sick"])
 def test_a_profiler_that_does_not_answer_is_named_before_anything_is_lit(profiler: str) -> None:
     with blade(profiler, faults="silent-profiler") as station:
         address = read_station(station.station).profiler.address
@@ -82,6 +94,40 @@ def test_a_profiler_that_does_not_answer_is_named_before_anything_is_lit(profile
         ):
             opened.devices.profiler.identify()
         assert '"laser"' not in station.witness.read_text()
+
+
+# From the first byte to the surface, judged by the simulator on its own triangles. 8 rings of a
+# vase that swings between them gave 0.07 and 0.10 mm; a scale that is off by one percent, or x
+# mirrored, would be 0.3 mm or more on a radius of 30.
+SURFACE_RMS_MM = 0.2
+
+
+@pytest.mark.parametrize("profiler", ["hokuyo", "sick"])
+def test_a_scan_over_the_wires_becomes_the_part(profiler: str, place: Path) -> None:
+    with simulate(
+        "vase", seed=SEED, scale=20.0, outliers=0.0, rings=8, stops=16, profiler=profiler
+    ) as station:
+        devices = succeeded(run("devices", station, "--json")).stdout
+        words = ("scan", station, station.plan, "--out", "vase.scan", "--attended", "--json")
+        told = [json.loads(line) for line in succeeded(run(*words)).stdout.splitlines()]
+        events = [json.loads(line) for line in station.witness.read_text().splitlines()]
+    (laser,) = [each for each in told if each["event"] == "laser"]
+    (done,) = [each for each in told if each["event"] == "done"]
+    assert [done[name] for name in ("slices", "lost_profiles", "lost_points")] == [8, 0, 0]
+    assert f'"family": "{profiler}"' in devices
+    assert not [event["on"] for event in events if event["what"] == "laser"][-1]
+    # The laser that is the witness is the one that the scanner lit by itself.
+    why = {event["why"] for event in events if event["what"] == "laser" and event["on"]}
+    assert why == ({"BM"} if profiler == "hokuyo" else {"coil 0"})
+    assert (laser["watchdog_s"] is None) == (profiler == "hokuyo")
+    switch = "laser of the scanner" if profiler == "hokuyo" else "laser relay"
+    assert laser["guard"].startswith("guard: the laser is off within ")
+    assert 0.07 < laser["guard_s"][switch] < math.inf
+    succeeded(run("reconstruct", "vase.scan", "--out", "result", "--formats", "stl"))
+    part = find_part("vase")
+    mesh = trimesh.load_mesh("result/mesh.stl")
+    judged = judge(Surface(part.vertices_mm, part.faces), mesh, samples=8_000)
+    assert judged.rms_mm < SURFACE_RMS_MM
 
 
 def test_a_riftek_is_set_up_as_the_station_says_and_measures_on_a_lossy_network(
