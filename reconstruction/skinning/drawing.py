@@ -59,15 +59,21 @@ class SliceOutlines:
         return float(self.frame.origin_mm @ self.frame.axes[2])
 
 
-def draw_outlines(piece: Slice, *, exact: Exact = Exact.AUTO) -> SliceOutlines:
-    """Fit the contours of a slice; without any, the value says so and is no error."""
+def draw_outlines(piece: Slice, *, exact: Exact = Exact.AUTO, solid: bool = True) -> SliceOutlines:
+    """Fit the contours of a slice; without any, the value says so and is no error.
+
+    Parameters
+    ----------
+    solid
+        As in `fitted_sections.draw_fitted_section`.
+    """
     try:
         planar = piece.frame.to_plane(piece.points_mm)
         found = resolve_section(
             np.ascontiguousarray(planar[:, :2]),
             exact=exact,
             heights_mm=np.ascontiguousarray(planar[:, 2]),
-            solid=True,
+            solid=solid,
         )
     except TooFewPoints as few:
         lost = len(piece.points_mm)

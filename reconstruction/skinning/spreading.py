@@ -1,0 +1,249 @@
+"""Strands laid side by side: stations that belong together, over gaps and ragged ends too.
+
+All strands are seen from one middle line, their mean: where along it each place of a strand stands,
+and how far off. Where a strand has no points, its neighbours say how far off it would be.
+
+::
+
+      ______     ___    strand with a gap            s: where along the middle line
+    --------------------  middle line                borders: where strands begin and end there,
+     |  |  |  |  |  |  |  stations                   as their neighbours have it
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.sparse import coo_array, eye_array, kron, vstack
+from scipy.sparse.linalg import spsolve
+from scipy.spatial import cKDTree
+
+from reconstruction.arrays import BoolArray, FloatArray, frozen
+from reconstruction.skinning.strands import Strand, length_mm
+
+_PLACES = 513  # of the middle line
+_SMOOTH = 1.0 / 48.0  # of its length: narrower bends are the strands' own
+_BEYOND = 0.25  # of its length, that it is carried on straight at either end
+_ROUNDS = 3
+_STIFF = 1.0  # of the lines along which strands begin and end: second differences beside squares
+_SLACK = 0.01  # of a strand's length: one that ends earlier by more has lost its end, ...
+_EARLY = 1e-3  # ... and says so little
+_SIFTINGS = 12
+_FAINT = 1e-9  # beside second differences: what nothing holds stays on the middle line
+_RISE = 1e-6  # of the way along a strand, that the way along the middle line grows by at least
+_SHARED = 0.3  # of the strands must reach a place that is the mean of theirs
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spread:
+    """Stations on strands: column m runs from strand to strand."""
+
+    positions: FloatArray  # (k,), of the strands
+    places_mm: FloatArray  # (k, m, 2), in the strands' own coordinates
+    measured: BoolArray  # (k, m), there is a run; elsewhere the neighbours say where it would be
+
+    def __post_init__(self) -> None:
+        for name in ("positions", "places_mm"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        object.__setattr__(self, "measured", frozen(self.measured, np.bool_))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Middle:
+    """The line that all strands are seen from, evenly sampled, carried on at both ends."""
+
+    line_mm: FloatArray  # (n, 2)
+    along_mm: FloatArray  # (n,), 0 and the length at its own ends
+
+    @property
+    def end_mm(self) -> float:
+        """Of what is not carried on."""
+        return float(self.along_mm[-1] + self.along_mm[0])
+
+    def at(self, along_mm: FloatArray) -> FloatArray:
+        """Places (..., 2)."""
+        return np.stack([np.interp(along_mm, self.along_mm, x) for x in self.line_mm.T], axis=-1)
+
+    def feet(self, places_mm: FloatArray) -> FloatArray:
+        """Where along it places (n, 2) stand, (n,)."""
+        _, near = cKDTree(self.line_mm).query(places_mm)
+        best = np.full(len(places_mm), np.inf)
+        found = np.zeros(len(places_mm))
+        for step in (-1, 0):
+            start = np.clip(near + step, 0, len(self.line_mm) - 2)
+            way = self.line_mm[start + 1] - self.line_mm[start]
+            arm = places_mm - self.line_mm[start]
+            square = np.maximum((way**2).sum(axis=1), 1e-300)
+            share = np.clip((way * arm).sum(axis=1) / square, 0.0, 1.0)
+            off = np.linalg.norm(arm - share[:, None] * way, axis=1)
+            here = self.along_mm[start] * (1.0 - share) + self.along_mm[start + 1] * share
+            found, best = np.where(off < best, here, found), np.minimum(off, best)
+        return found
+
+
+def spread(strands: Sequence[Strand], columns: int, *, cyclic: bool) -> Spread:
+    """Lay so many stations on every strand.
+
+    Parameters
+    ----------
+    cyclic
+        The last strand is followed by the first.
+    """
+    middle, runs = middle_of(strands)
+    low, high = _borders(runs, cyclic=cyclic)
+    share = np.linspace(0.0, 1.0, columns)
+    along = low[:, None] + (high - low)[:, None] * share
+    places = np.full((*along.shape, 2), np.nan)
+    for k, own in enumerate(runs):
+        for s, run in own:
+            inside = (along[k] >= s[0]) & (along[k] <= s[-1])
+            places[k, inside] = _between(along[k, inside], s, run)
+    measured = np.isfinite(places[..., 0])
+    offsets = _filled(places - middle.at(along), measured, cyclic=cyclic)
+    positions = np.array([strand.position for strand in strands])
+    return Spread(positions, middle.at(along) + offsets, measured)
+
+
+Runs = list[tuple[FloatArray, FloatArray]]  # of a strand: where along the middle line, and places
+
+
+def middle_of(strands: Sequence[Strand]) -> tuple[Middle, list[Runs]]:
+    """The mean of the strands, and every strand as it is seen from there."""
+    longest = max(strands, key=lambda each: each.length_mm)
+    middle = _middle(_chained(longest.runs_mm))
+    runs = [_seen(strand, middle) for strand in strands]
+    for _ in range(_ROUNDS):
+        middle = _mean(middle, runs)
+        runs = [_seen(strand, middle) for strand in strands]
+    return middle, runs
+
+
+def _chained(runs: Sequence[FloatArray]) -> FloatArray:
+    """Runs one after the other, each next to the end that it lies nearest to; (n, 2)."""
+    left = sorted(runs, key=length_mm)
+    chain = left.pop()
+    while left:
+        ways = [
+            (float(np.linalg.norm(run[-mine] - chain[-its])), number, mine, its)
+            for number, run in enumerate(left)
+            for mine in (0, 1)
+            for its in (0, 1)
+        ]
+        _, number, mine, its = min(ways)
+        run = left.pop(number)
+        if its:  # after the chain's last place
+            chain = np.concatenate([chain, run[::-1] if mine else run])
+        else:
+            chain = np.concatenate([run if mine else run[::-1], chain])
+    return chain
+
+
+def _middle(line: FloatArray) -> Middle:
+    """A line (n, 2) evenly sampled, smooth, carried on straight."""
+    even = _evenly(line, _PLACES)
+    # Odd about its ends, so that these stay.
+    size = _PLACES - 1
+    wide = np.concatenate([2 * even[0] - even[size:0:-1], even, 2 * even[-1] - even[-2::-1]])
+    even = gaussian_filter1d(wide, _SMOOTH * size, axis=0)[size : 2 * size + 1]
+    even = _evenly(even, _PLACES)
+    step = float(np.linalg.norm(np.diff(even, axis=0), axis=1).mean())
+    reach = int(_BEYOND * size)
+    ways = [even[0] - even[reach // 8], even[-1] - even[-1 - reach // 8]]
+    low, high = (way / max(float(np.linalg.norm(way)), 1e-300) * step for way in ways)
+    beyond = np.arange(1, reach + 1)[:, None]
+    whole = np.concatenate([(even[0] + beyond * low)[::-1], even, even[-1] + beyond * high])
+    return Middle(whole, step * (np.arange(float(len(whole))) - reach))
+
+
+def _evenly(line: FloatArray, count: int) -> FloatArray:
+    along = np.concatenate([[0.0], np.linalg.norm(np.diff(line, axis=0), axis=1).cumsum()])
+    return _between(np.linspace(0.0, along[-1], count), along, line)
+
+
+def _between(at: FloatArray, along: FloatArray, line: FloatArray) -> FloatArray:
+    return np.stack([np.interp(at, along, x) for x in line.T], axis=1)
+
+
+def _seen(strand: Strand, middle: Middle) -> Runs:
+    """Every run as the middle line sees it, the way that it runs."""
+    found = []
+    for run in strand.runs_mm:
+        s = middle.feet(run)
+        if s[-1] < s[0]:
+            run, s = run[::-1], s[::-1]
+        # A place that seems to go back stands where its neighbours do.
+        s = 0.5 * (np.maximum.accumulate(s) + np.minimum.accumulate(s[::-1])[::-1])
+        steps = np.linalg.norm(np.diff(run, axis=0), axis=1)
+        found.append((s + _RISE * np.concatenate([[0.0], steps.cumsum()]), run))
+    return sorted(found, key=lambda each: float(each[0][0]))
+
+
+def _mean(middle: Middle, runs: Sequence[Runs]) -> Middle:
+    """The middle line moved to the mean of all strands."""
+    own = middle.along_mm[(middle.along_mm >= 0.0) & (middle.along_mm <= middle.end_mm)]
+    sums, counts = np.zeros((len(own), 2)), np.zeros(len(own))
+    for strand in runs:
+        for s, run in strand:
+            inside = (own >= s[0]) & (own <= s[-1])
+            sums[inside] += _between(own[inside], s, run)
+            counts[inside] += 1
+    held = np.flatnonzero(counts >= _SHARED * len(runs))
+    if len(held) < 2:
+        return middle
+    return _middle(sums[held] / counts[held, None])
+
+
+def _borders(runs: Sequence[Runs], *, cyclic: bool) -> tuple[FloatArray, FloatArray]:
+    """Where every strand begins and ends; one that ends early, where those beside it do."""
+    low = np.array([own[0][0][0] for own in runs])
+    high = np.array([max(float(s[-1]) for s, _ in own) for own in runs])
+    slack = _SLACK * float(np.median(high - low))
+    return _outermost(low, slack, cyclic=cyclic), -_outermost(-high, slack, cyclic=cyclic)
+
+
+def _outermost(values: FloatArray, slack: float, *, cyclic: bool) -> FloatArray:
+    """A smooth line through values (k,) from below: those far above it do not count.
+
+    Asymmetric least squares (Eilers, Boelens 2005).
+    """
+    count = len(values)
+    seconds = np.roll(np.eye(count), 1, axis=1) - 2.0 * np.eye(count) + np.roll(
+        np.eye(count), -1, axis=1
+    )  # fmt: skip
+    seconds = seconds if cyclic else seconds[1:-1]
+    stiff = _STIFF * seconds.T @ seconds
+    line = np.array(values)
+    for width in np.geomspace(np.ptp(values) + slack, slack, _SIFTINGS):
+        weights = np.where(values > line + width, _EARLY, 1.0)
+        line = np.asarray(np.linalg.solve(np.diag(weights) + stiff, weights * values), np.float64)
+    return np.asarray(line)
+
+
+def _filled(offsets: FloatArray, known: BoolArray, *, cyclic: bool) -> FloatArray:
+    """Offsets (k, m, 2) that are not known: as smooth as may be, from all sides.
+
+    The least squares of second differences, along the strands and across them.
+    """
+    unknown = np.flatnonzero(~known)
+    filled = np.where(known[..., None], offsets, 0.0).reshape(-1, 2)
+    if not len(unknown):
+        return filled.reshape(offsets.shape)
+    rows, columns = known.shape
+    across = kron(_seconds(rows, cyclic=cyclic), eye_array(columns))
+    along = kron(eye_array(rows), _seconds(columns, cyclic=False))
+    bends = vstack([across, along]).tocsc()
+    free = bends[:, unknown]
+    normal = (free.T @ free + _FAINT * eye_array(len(unknown))).tocsc()
+    filled[unknown] = spsolve(normal, -free.T @ (bends @ filled)).reshape(-1, 2)
+    return filled.reshape(offsets.shape)
+
+
+def _seconds(count: int, *, cyclic: bool) -> coo_array:
+    """Second differences of so many values, sparse."""
+    rows = np.arange(count if cyclic else max(count - 2, 0))
+    at = np.concatenate([(rows + step) % count for step in range(3)])
+    values = np.repeat([1.0, -2.0, 1.0], len(rows))
+    return coo_array((values, (np.tile(rows, 3), at)), shape=(len(rows), count))
