@@ -15,16 +15,16 @@ show, the others do; the fit's stiffness fills it, and its covariance says how w
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from reconstruction.arrays import FloatArray
-from reconstruction.errors import NotLoftable
+from reconstruction.errors import NotLoftable, Unfittable
 from reconstruction.skinning.branch import Branch, End, Ending
 from reconstruction.skinning.drawing import SliceOutlines
 from reconstruction.skinning.fan_ends import FanEnd, between_levels, end_of
-from reconstruction.skinning.feet import nearby
+from reconstruction.skinning.feet import nearby, off_the_walls
 from reconstruction.skinning.laying import net_through, strides
 from reconstruction.skinning.layout import Fan
 from reconstruction.skinning.merging import Cells
@@ -32,7 +32,7 @@ from reconstruction.skinning.net import Net
 from reconstruction.skinning.outlines import Moments
 from reconstruction.skinning.rounds import Rim, span_mm
 from reconstruction.skinning.skin import Skin, halvings, noise_of, rims_of
-from reconstruction.skinning.spreading import Spread, spread
+from reconstruction.skinning.spreading import Spread, view
 from reconstruction.skinning.strands import Strand, meridians_of, stripes_of
 from reconstruction.skinning.tensor_fit import FREE, fit_net
 
@@ -61,15 +61,25 @@ def skin_stripes(stack: Sequence[SliceOutlines]) -> Skin:
     strands = _enough(stripes_of(stack))
     runs = tuple(run for piece in stack for run in piece.runs)
     spans = _spans_along(stack), _spans_across(len(strands))
-    found = spread(strands, _stations(spans[0]), cyclic=False)
-    axes = stack[0].frame.axes
-    places = found.places_mm @ axes[:2] + found.positions[:, None, None] * axes[2]
     branch = Branch(runs, cyclic=False, ends=None, hole=False)
-    times = halvings(spans[0], _LEAST_ALONG, _WIDE), halvings(spans[1], _LEAST_ACROSS, _WIDE)
-    wide = _widened(spans, times)
-    rows, columns = _evenly(places, wide[1]), _evenly(places.swapaxes(0, 1), wide[0])
-    net = net_through(places, rows, columns, wide, None, closed=(False, False))
-    return _fitted(branch, net, None, times)
+    sigma_mm = math.sqrt(noise_of(branch).level_mm2)
+    seen = view(strands, sigma_mm, cyclic=False, stepped=True)
+    axes = stack[0].frame.axes
+
+    def laid(spans: tuple[int, int]) -> Net:
+        faces = seen.face_spans(spans[0])
+        whole = sum(faces)
+        a_span = -(-_stations(whole) // whole)
+        found = seen.stations([a_span * face for face in faces])
+        places = found.places_mm @ axes[:2] + found.positions[:, None, None] * axes[2]
+        rows = _evenly(places, spans[1])
+        columns = np.arange(float(a_span * whole + 1)) / a_span
+        creases = np.cumsum(faces)[:-1]
+        return net_through(
+            places, rows, columns, (whole, spans[1]), None, creases, closed=(False, False)
+        )
+
+    return _fitted(branch, laid, spans, (_LEAST_ALONG, _LEAST_ACROSS), None)
 
 
 def skin_meridians(stack: Sequence[SliceOutlines], fan: Fan) -> Skin:
@@ -84,21 +94,22 @@ def skin_meridians(stack: Sequence[SliceOutlines], fan: Fan) -> Skin:
     round_ = goes_round([strand.position for strand in strands])
     turned = strands if round_ else _from_the_gap(strands)
     spans = _spans_across(len(strands), closed=round_), _spans_along(stack)
-    found = _upwards(spread(turned, _stations(spans[1]), cyclic=round_))
+    seen = view(turned, 0.0, cyclic=round_, stepped=False)
+    found = _upwards(seen.stations([_stations(spans[1])]))
     low, high = (end_of(found, fan.frame, last=last) for last in (False, True))
     found = between_levels(found, fan.frame, low, high)
     places = _about(found, fan)
     branch = _branch(stack, fan, len(strands), (low, high))
-    times = halvings(spans[0], _LEAST_ACROSS, _WIDE), halvings(spans[1], _LEAST_ALONG, _WIDE)
-    wide = _widened(spans, times)
     places = _ended(places, low, high)
-    first = found.positions[0]
-    turn = math.tau if round_ else float(found.positions[-1] - first)
-    columns = (found.positions - first) / turn * wide[0]
-    ends = low.end, high.end
-    rows = _evenly(places, wide[1])
-    net = net_through(places, rows, columns, wide, ends, closed=(round_, False))
-    return _fitted(branch, net, (low, high), times)
+    angles = found.positions - found.positions[0]
+    turn = math.tau if round_ else float(angles[-1])
+
+    def laid(spans: tuple[int, int]) -> Net:
+        rows, columns = _evenly(places, spans[1]), angles / turn * spans[0]
+        ends = low.end, high.end
+        return net_through(places, rows, columns, spans, ends, closed=(round_, False))
+
+    return _fitted(branch, laid, spans, (_LEAST_ACROSS, _LEAST_ALONG), (low, high))
 
 
 def goes_round(angles: Sequence[float]) -> bool:
@@ -162,13 +173,29 @@ def _ended(places: FloatArray, low: FanEnd, high: FanEnd) -> FloatArray:
 
 def _fitted(
     branch: Branch,
-    net: Net,
+    laid: Callable[[tuple[int, int]], Net],
+    spans: tuple[int, int],
+    least: tuple[int, int],
     ends: tuple[FanEnd, FanEnd] | None,
-    times: tuple[int, int],
+) -> Skin:
+    """A net laid with few spans to begin with, where they may do, and fitted."""
+    times = halvings(spans[0], least[0], _WIDE), halvings(spans[1], least[1], _WIDE)
+    wide = -(-spans[0] // 2 ** times[0]), -(-spans[1] // 2 ** times[1])
+    try:
+        return _fitted_to(branch, laid(wide), ends, times)
+    except Unfittable:  # too wide to find the points: narrow from the beginning
+        if not any(times):
+            raise
+        return _fitted_to(branch, laid(spans), ends, (0, 0))
+
+
+def _fitted_to(
+    branch: Branch, net: Net, ends: tuple[FanEnd, FanEnd] | None, times: tuple[int, int]
 ) -> Skin:
     noise = noise_of(branch)
     moments = Moments.together([outline.moments for outline in branch.outlines])
     near, u, v = nearby(net, moments, _REACH * span_mm(net))
+    u = off_the_walls(net, near, u, v)
     brims = None if ends is None else (ends[0].end, ends[1].end)
     rims = FREE if brims is None else rims_of(brims)
     if not net.closed_u:  # a pole that is not gone round has no tangent plane to be tied to
@@ -198,7 +225,3 @@ def _spans_along(stack: Sequence[SliceOutlines]) -> int:
 def _spans_across(strands: int, *, closed: bool = False) -> int:
     least = _ROUND_SPANS if closed else _LEAST_ACROSS
     return int(min(max(_SPANS_A_STRAND * strands, least), _MOST_ACROSS))
-
-
-def _widened(spans: tuple[int, int], times: tuple[int, int]) -> tuple[int, int]:
-    return -(-spans[0] // 2 ** times[0]), -(-spans[1] // 2 ** times[1])

@@ -118,7 +118,14 @@ class Skin:
         places = evaluate_surface_at(self.surface, np.ravel(u), np.ravel(v))
         heights = (places @ self.branch.axes[2]).reshape(np.shape(u))
         missing = lies_in(heights, unseen_bands(self.branch, self.moments))
-        return np.asarray((counts[column, row] == 0) | missing)
+        return np.asarray((counts[column, row] == 0) | missing | self._in_walls(u))
+
+    def _in_walls(self, u: FloatArray) -> BoolArray:
+        """Whether parameters lie in the walls of steps across stripes, which no slice sees."""
+        creases = self.fit.net.creases
+        if self.fit.net.closed_u or not len(creases):
+            return np.zeros(np.shape(u), np.bool_)
+        return np.asarray((np.searchsorted(creases, u) % 2 == 1) & ~np.isin(u, creases))
 
     @property
     def support(self) -> IntArray:

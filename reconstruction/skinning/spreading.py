@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -22,6 +23,7 @@ from scipy.sparse.linalg import spsolve
 from scipy.spatial import cKDTree
 
 from reconstruction.arrays import BoolArray, FloatArray, frozen
+from reconstruction.skinning.steps import Step, find_steps
 from reconstruction.skinning.strands import Strand, length_mm
 
 _PLACES = 513  # of the middle line
@@ -32,9 +34,13 @@ _STIFF = 1.0  # of the lines along which strands begin and end: second differenc
 _SLACK = 0.01  # of a strand's length: one that ends earlier by more has lost its end, ...
 _EARLY = 1e-3  # ... and says so little
 _SIFTINGS = 12
+_WALL_SPANS, _LEAST_SPANS = 3, 3  # of the wall of a step, of a face beside it
+_BLIND = 0.02  # of the middle line, beside a step that a strand has run smoothly over
 _FAINT = 1e-9  # beside second differences: what nothing holds stays on the middle line
 _RISE = 1e-6  # of the way along a strand, that the way along the middle line grows by at least
 _SHARED = 0.3  # of the strands must reach a place that is the mean of theirs
+
+Runs = list[tuple[FloatArray, FloatArray]]  # of a strand: where along the middle line, and places
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,36 +90,97 @@ class Middle:
         return found
 
 
-def spread(strands: Sequence[Strand], columns: int, *, cyclic: bool) -> Spread:
-    """Lay so many stations on every strand.
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """All strands as they are seen from their middle line."""
+
+    positions: FloatArray  # (k,)
+    middle: Middle
+    runs: tuple[Runs, ...]
+    borders: tuple[FloatArray, FloatArray]  # (k,) each
+    steps: tuple[Step, ...]
+    cyclic: bool
+
+    def face_spans(self, spans: int) -> tuple[int, ...]:
+        """About so many spans along the strands, a whole number on every face between edges.
+
+        With steps, every other face is the wall of one.
+        """
+        if not self.steps:
+            return (spans,)
+        bounds = self._bounds()
+        widths = [float((high - low).mean()) for low, high in pairwise(bounds)]
+        whole = sum(widths[::2])
+        return tuple(
+            _WALL_SPANS if face % 2 else max(round(spans * width / whole), _LEAST_SPANS)
+            for face, width in enumerate(widths)
+        )
+
+    def stations(self, counts: Sequence[int]) -> Spread:
+        """So many stations on every face, and one more at the end."""
+        bounds = list(pairwise(self._bounds()))
+        faces = [self._face(n, *bounds[2 * n], count) for n, count in enumerate(counts[::2])]
+        parts = faces[:1]
+        for (before, _), face, count in zip(faces[:-1], faces[1:], counts[1::2], strict=True):
+            # A wall: straight from one edge to the other.
+            share = (np.arange(1, count) / count)[:, None]
+            wall = before[:, -1:] + share * (face[0][:, :1] - before[:, -1:])
+            parts += [(wall, np.zeros(wall.shape[:2], np.bool_)), face]
+        places, measured = zip(*parts, strict=True)
+        return Spread(
+            self.positions, np.concatenate(places, axis=1), np.concatenate(measured, axis=1)
+        )
+
+    def _bounds(self) -> list[FloatArray]:
+        edges = [edge for step in self.steps for edge in (step.ends_mm, step.begins_mm)]
+        return [self.borders[0], *edges, self.borders[1]]
+
+    def _face(
+        self, number: int, low: FloatArray, high: FloatArray, count: int
+    ) -> tuple[FloatArray, BoolArray]:
+        """Stations (k, count + 1, 2) of a face, and which of them runs show."""
+        along = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, count + 1)
+        places = np.full((*along.shape, 2), np.nan)
+        first, last = low + self._blind(number - 1), high - self._blind(number)
+        for k, own in enumerate(self.runs):
+            for s, run in own:
+                inside = (along[k] >= max(s[0], first[k])) & (along[k] <= min(s[-1], last[k]))
+                places[k, inside] = _between(along[k, inside], s, run)
+        measured = np.isfinite(places[..., 0])
+        seen = self.middle.at(along)
+        return seen + _filled(places - seen, measured, cyclic=self.cyclic), measured
+
+    def _blind(self, step: int) -> FloatArray:
+        """How far beside a step strands say nothing: those that went over it smoothly."""
+        if not 0 <= step < len(self.steps):
+            return np.zeros(len(self.positions))
+        return np.where(self.steps[step].shown, 0.0, _BLIND * self.middle.end_mm)
+
+
+def view(strands: Sequence[Strand], sigma_mm: float, *, cyclic: bool, stepped: bool) -> View:
+    """Look at all strands from their middle line.
 
     Parameters
     ----------
+    sigma_mm
+        Scatter of a point: less is no step.
     cyclic
         The last strand is followed by the first.
+    stepped
+        Whether steps are looked for.
     """
     middle, runs = middle_of(strands)
-    low, high = _borders(runs, cyclic=cyclic)
-    share = np.linspace(0.0, 1.0, columns)
-    along = low[:, None] + (high - low)[:, None] * share
-    places = np.full((*along.shape, 2), np.nan)
-    for k, own in enumerate(runs):
-        for s, run in own:
-            inside = (along[k] >= s[0]) & (along[k] <= s[-1])
-            places[k, inside] = _between(along[k, inside], s, run)
-    measured = np.isfinite(places[..., 0])
-    offsets = _filled(places - middle.at(along), measured, cyclic=cyclic)
+    borders = _borders(runs, cyclic=cyclic)
+    feet = [[(s, run - middle.at(s)) for s, run in own] for own in runs]
+    steps = find_steps(feet, borders, sigma_mm) if stepped else ()
     positions = np.array([strand.position for strand in strands])
-    return Spread(positions, middle.at(along) + offsets, measured)
-
-
-Runs = list[tuple[FloatArray, FloatArray]]  # of a strand: where along the middle line, and places
+    return View(positions, middle, tuple(runs), borders, steps, cyclic)
 
 
 def middle_of(strands: Sequence[Strand]) -> tuple[Middle, list[Runs]]:
     """The mean of the strands, and every strand as it is seen from there."""
-    longest = max(strands, key=lambda each: each.length_mm)
-    middle = _middle(_chained(longest.runs_mm))
+    chains = [_chained(strand.runs_mm) for strand in strands]
+    middle = _middle(max(chains, key=length_mm))
     runs = [_seen(strand, middle) for strand in strands]
     for _ in range(_ROUNDS):
         middle = _mean(middle, runs)
@@ -122,7 +189,10 @@ def middle_of(strands: Sequence[Strand]) -> tuple[Middle, list[Runs]]:
 
 
 def _chained(runs: Sequence[FloatArray]) -> FloatArray:
-    """Runs one after the other, each next to the end that it lies nearest to; (n, 2)."""
+    """Runs one after the other, each next to the end that it lies nearest to; (n, 2).
+
+    Left out are those farther from both ends than they are long: pieces beside another run.
+    """
     left = sorted(runs, key=length_mm)
     chain = left.pop()
     while left:
@@ -132,8 +202,10 @@ def _chained(runs: Sequence[FloatArray]) -> FloatArray:
             for mine in (0, 1)
             for its in (0, 1)
         ]
-        _, number, mine, its = min(ways)
+        away, number, mine, its = min(ways)
         run = left.pop(number)
+        if away > length_mm(run):
+            continue
         if its:  # after the chain's last place
             chain = np.concatenate([chain, run[::-1] if mine else run])
         else:
