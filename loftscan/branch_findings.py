@@ -28,10 +28,11 @@ def judge_branches(done: FittedReconstruction) -> list[str | None]:
 
 def tell_doubts(done: FittedReconstruction) -> list[str]:
     """Say everything that is doubtful about contours and how they follow each other."""
+    ringed = done.skinned.layout is Layout.RINGS  # of others it is known that they are open
     notes = [
         f"slice {section.index}: {note}"
         for section in done.sections
-        for note in section.outlines.notes
+        for note in (*section.outlines.notes, *(section.outlines.undecided if ringed else ()))
     ]
     return [*done.skinned.branching.warnings, *notes]
 

@@ -45,7 +45,8 @@ class SliceOutlines:
     runs: tuple[Outline, ...]  # open ones, by length, the longest first
     strays: int  # points set aside
     unordered: int  # points that hang together without a curve
-    notes: tuple[str, ...]  # what is not certain
+    notes: tuple[str, ...]  # what gave no curve
+    undecided: tuple[str, ...] = ()  # contours that may be closed or open
     grains: Grains = EMPTY  # all its points, whatever became of them
 
     @property
@@ -78,7 +79,14 @@ def draw_outlines(piece: Slice, *, exact: Exact = Exact.AUTO, solid: bool = True
     except TooFewPoints as few:
         lost = len(piece.points_mm)
         return SliceOutlines(
-            piece.index, piece.frame, (), (), lost, 0, (str(few),), _grains(piece.points_mm, ())
+            piece.index,
+            piece.frame,
+            (),
+            (),
+            lost,
+            0,
+            (str(few),),
+            grains=_grains(piece.points_mm, ()),
         )
     drawn = [
         outline_of(piece.index, piece.frame, curve, hole=curve.closed and depth % 2 == 1)
@@ -91,7 +99,8 @@ def draw_outlines(piece: Slice, *, exact: Exact = Exact.AUTO, solid: bool = True
         tuple(each for each in drawn if not each.fitted.closed),
         len(found.strays),
         len(found.unordered),
-        _notes(found),
+        tuple(f"a chain gave no curve: {why}" for why in found.failures),
+        _undecided(found),
         _grains(piece.points_mm, found.curves),
     )
 
@@ -107,10 +116,10 @@ def _grains(points_mm: FloatArray, curves: Sequence[FittedCurve]) -> Grains:
     return Grains(cells.centres_mm, cells.counts.astype(np.float64))
 
 
-def _notes(found: SectionFit) -> tuple[str, ...]:
-    notes = [f"a chain gave no curve: {why}" for why in found.failures]
-    for curve, chain in zip(found.curves, found.chains, strict=True):
-        if curve.ambiguous:
-            taken = "closed" if curve.closed else "open"
-            notes.append(f"a contour {chain.length_mm:.3g} mm long may be closed or open: {taken}")
-    return tuple(notes)
+def _undecided(found: SectionFit) -> tuple[str, ...]:
+    return tuple(
+        f"a contour {chain.length_mm:.3g} mm long may be closed or open:"
+        f" {'closed' if curve.closed else 'open'}"
+        for curve, chain in zip(found.curves, found.chains, strict=True)
+        if curve.ambiguous
+    )
