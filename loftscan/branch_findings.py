@@ -103,7 +103,7 @@ def _ends(done: FittedReconstruction) -> str | None:
 
 def _kinds(skin: AnySkin) -> list[str]:
     """How the open ends of a branch were closed; joints are none, nor what a shape tells."""
-    if skin.brims is None or skin.branch.ends is None:
+    if skin.brims is None or skin.branch.ends is None or skin.open:
         return []
     pairs = zip(skin.brims, skin.branch.ends, strict=True)
     return [

@@ -143,7 +143,9 @@ class Intake:
             return
         before = self._pieces[-1].sample
         here_mm, there_mm = height_mm(piece.frame), height_mm(before.frame)
-        low = here_mm <= there_mm and not is_turned(piece.frame, before.frame)
+        first = self._pieces[0].sample
+        turned = is_turned(piece.frame, before.frame) or is_turned(piece.frame, first.frame)
+        low = here_mm <= there_mm and not turned
         if piece.index <= before.index or low:
             raise ValueError(
                 f"slice {piece.index} at {here_mm:.4g} mm follows slice {before.index} at"

@@ -123,7 +123,7 @@ class FitCourse:
         ringed = layout is Layout.RINGS
         found = [each.index for each in self._sections if each.closed is ringed]
         if len(found) < 2:
-            kind = "closed section" if ringed else "open section"
+            kind = "closed section" if ringed else "section that is open"
             raise too_few(kind, found, indices, skipped, remedy)
         skinned = skin_slices(self._stack, exact=self._exact, nurbs=self._nurbs, layout=layout)
         # The border of an open surface is no hole in it.

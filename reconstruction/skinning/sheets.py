@@ -25,6 +25,7 @@ from reconstruction.skinning.branch import Branch, End, Ending
 from reconstruction.skinning.drawing import SliceOutlines
 from reconstruction.skinning.fan_ends import FanEnd, between_levels, end_of
 from reconstruction.skinning.feet import nearby, off_the_walls
+from reconstruction.skinning.interpolating import follows, interpolating
 from reconstruction.skinning.laying import net_through, strides
 from reconstruction.skinning.layout import Fan
 from reconstruction.skinning.merging import Cells
@@ -46,6 +47,7 @@ _STATIONS_A_SPAN, _LEAST_STATIONS = 3, 96
 _ALL_ROUND = math.radians(75.0)  # no wider gap between meridians that go all round
 _REACH = 3.0  # spans of the first net: cells farther off are not its
 _LEAST_STRANDS = 2
+_FEW, _SPANS_A_ROW = 20, 2  # as in `skin`: of so few, a spline may take the fit's place
 
 
 def skin_stripes(stack: Sequence[SliceOutlines]) -> Skin:
@@ -66,7 +68,7 @@ def skin_stripes(stack: Sequence[SliceOutlines]) -> Skin:
     seen = view(strands, sigma_mm, cyclic=False, stepped=True)
     axes = stack[0].frame.axes
 
-    def laid(spans: tuple[int, int]) -> Net:
+    def laid(spans: tuple[int, int], *, through: bool = False) -> Net:
         faces = seen.face_spans(spans[0])
         whole = sum(faces)
         a_span = -(-_stations(whole) // whole)
@@ -76,10 +78,22 @@ def skin_stripes(stack: Sequence[SliceOutlines]) -> Skin:
         columns = np.arange(float(a_span * whole + 1)) / a_span
         creases = np.cumsum(faces)[:-1]
         return net_through(
-            places, rows, columns, (whole, spans[1]), None, creases, closed=(False, False)
-        )
+            places, rows, columns, (whole, spans[1]), None, creases, closed=(False, False),
+            through=through,
+        )  # fmt: skip
 
-    return _fitted(branch, laid, spans, (_LEAST_ALONG, _LEAST_ACROSS), None)
+    try:
+        skin = _fitted(branch, laid, spans, (_LEAST_ALONG, _LEAST_ACROSS), None)
+    except Unfittable:
+        if len(strands) > _FEW:
+            raise
+    else:
+        if len(strands) > _FEW or follows(skin.fit, noise_of(branch)):
+            return skin
+    # Few stripes far apart, which no fit holds on to: a spline through them, as through rings.
+    return _through(
+        branch, laid((spans[0], max(_SPANS_A_ROW * len(strands), _LEAST_ACROSS)), through=True)
+    )
 
 
 def skin_meridians(stack: Sequence[SliceOutlines], fan: Fan) -> Skin:
@@ -203,6 +217,17 @@ def _fitted_to(
     fit = fit_net(net, Cells((near,), u, v), noise, rims=rims, halvings=times)
     seen = (False, False) if ends is None else (ends[0].seen, ends[1].seen)
     return Skin(branch, brims, fit, seen=seen)
+
+
+def _through(branch: Branch, net: Net) -> Skin:
+    """The surface through the stripes as they are."""
+    moments = Moments.together([outline.moments for outline in branch.outlines])
+    near, u, v = nearby(net, moments, _REACH * span_mm(net))
+    u = off_the_walls(net, near, u, v)
+    fit = interpolating(net, Cells((near,), u, v), noise_of(branch), FREE)
+    if fit is None:
+        raise Unfittable(f"{moments.total} points of stripes do not hold a surface")
+    return Skin(branch, None, fit)
 
 
 def _stations(spans: int) -> int:

@@ -231,7 +231,7 @@ def _through(
     brims, noise = brims_of(branch), noise_of(branch)
     spans = (stations.spans or spans[0], spans[1])
     laid = lay_net(branch.outlines, stations, brims, spans, through=True)
-    fit = interpolating(laid, _cells(branch, laid, loose, noise), noise, rims_of(brims))
+    fit = interpolating(laid.net, _cells(branch, laid, loose, noise), noise, rims_of(brims))
     return None if fit is None else Skin(branch, brims, fit, stations)
 
 

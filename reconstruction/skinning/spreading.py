@@ -38,7 +38,8 @@ _WALL_SPANS, _LEAST_SPANS = 3, 3  # of the wall of a step, of a face beside it
 _BLIND = 0.02  # of the middle line, beside a step that a strand has run smoothly over
 _FAINT = 1e-9  # beside second differences: what nothing holds stays on the middle line
 _RISE = 1e-6  # of the way along a strand, that the way along the middle line grows by at least
-_SHARED = 0.3  # of the strands must reach a place that is the mean of theirs
+_SHARED = 0.3  # of the strands must reach a place of the middle line
+_ROUGH = 129  # places of it while it is looked for
 
 Runs = list[tuple[FloatArray, FloatArray]]  # of a strand: where along the middle line, and places
 
@@ -140,13 +141,9 @@ class View:
     ) -> tuple[FloatArray, BoolArray]:
         """Stations (k, count + 1, 2) of a face, and which of them runs show."""
         along = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, count + 1)
-        places = np.full((*along.shape, 2), np.nan)
+        places, measured = _looked_up(self.runs, along)
         first, last = low + self._blind(number - 1), high - self._blind(number)
-        for k, own in enumerate(self.runs):
-            for s, run in own:
-                inside = (along[k] >= max(s[0], first[k])) & (along[k] <= min(s[-1], last[k]))
-                places[k, inside] = _between(along[k, inside], s, run)
-        measured = np.isfinite(places[..., 0])
+        measured &= (along >= first[:, None]) & (along <= last[:, None])
         seen = self.middle.at(along)
         return seen + _filled(places - seen, measured, cyclic=self.cyclic), measured
 
@@ -254,18 +251,29 @@ def _seen(strand: Strand, middle: Middle) -> Runs:
 
 
 def _mean(middle: Middle, runs: Sequence[Runs]) -> Middle:
-    """The middle line moved to the mean of all strands."""
-    own = middle.along_mm[(middle.along_mm >= 0.0) & (middle.along_mm <= middle.end_mm)]
-    sums, counts = np.zeros((len(own), 2)), np.zeros(len(own))
-    for strand in runs:
-        for s, run in strand:
-            inside = (own >= s[0]) & (own <= s[-1])
-            sums[inside] += _between(own[inside], s, run)
-            counts[inside] += 1
-    held = np.flatnonzero(counts >= _SHARED * len(runs))
-    if len(held) < 2:
+    """The middle line moved to the mean of all strands.
+
+    Where a strand has no points, it counts with what is filled in: a mean of those that have some
+    would jump wherever one ends.
+    """
+    along = np.broadcast_to(np.linspace(0.0, middle.end_mm, _ROUGH), (len(runs), _ROUGH))
+    seen = middle.at(along)
+    places, measured = _looked_up(runs, along)
+    shared = measured.mean(axis=0) >= _SHARED
+    if int(shared.sum()) < 2:
         return middle
-    return _middle(sums[held] / counts[held, None])
+    offsets = _filled(places - seen, measured, cyclic=False)
+    return _middle((seen + offsets).mean(axis=0)[shared])
+
+
+def _looked_up(runs: Sequence[Runs], along: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Places (k, m, 2) of strands at (k, m) along the middle line, and whether a run is there."""
+    places = np.full((*along.shape, 2), np.nan)
+    for k, own in enumerate(runs):
+        for s, run in own:
+            inside = (along[k] >= s[0]) & (along[k] <= s[-1])
+            places[k, inside] = _between(along[k, inside], s, run)
+    return places, np.isfinite(places[..., 0])
 
 
 def _borders(runs: Sequence[Runs], *, cyclic: bool) -> tuple[FloatArray, FloatArray]:

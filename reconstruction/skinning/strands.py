@@ -19,11 +19,13 @@ from reconstruction.arrays import FloatArray, frozen
 from reconstruction.skinning.drawing import SliceOutlines
 from reconstruction.skinning.layout import Fan
 from reconstruction.skinning.outlines import Outline
-from reconstruction.slices import Frame
 
 _PLACES = 257  # of a run
 _BEYOND = 0.1  # of how far a plane reaches on one side of the axis: less beyond it is noise
 _FEWEST = 2  # places
+_REACH = 0.02  # of a run's length, that its points may go beyond its curve, ...
+_ACROSS = 4.0  # ... and standard deviations of a point off it
+_LAST = 3  # places of a run that tell the way on
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +53,7 @@ def stripes_of(stack: Sequence[SliceOutlines]) -> tuple[Strand, ...]:
     return tuple(
         Strand(piece.index, piece.height_mm, runs)
         for piece in stack
-        if (runs := tuple(_placed(run, piece.frame) @ axes[:2].T for run in piece.runs))
+        if (runs := tuple(_placed(run, piece) @ axes[:2].T for run in piece.runs))
     )
 
 
@@ -62,7 +64,7 @@ def meridians_of(stack: Sequence[SliceOutlines], fan: Fan) -> tuple[Strand, ...]
 
 
 def _sides(piece: SliceOutlines, fan: Fan) -> list[Strand]:
-    runs = [fan.places_of(_placed(run, piece.frame), piece.frame) for run in piece.runs]
+    runs = [fan.places_of(_placed(run, piece), piece.frame) for run in piece.runs]
     if not runs:
         return []
     ahead = max(float(run[:, 0].max()) for run in runs)
@@ -89,6 +91,28 @@ def _ahead(run: FloatArray) -> list[FloatArray]:
     return [run[part] for part in parts if on_this_side[part[0]] and len(part) >= _FEWEST]
 
 
-def _placed(run: Outline, frame: Frame) -> FloatArray:
-    """Places (n, 3) along a run in the part frame."""
-    return frozen(frame.to_part(run.polygon_mm(_PLACES)))
+def _placed(run: Outline, piece: SliceOutlines) -> FloatArray:
+    """Places (n, 3) along a run in the part frame, as far as its points go.
+
+    A fitted curve ends in the middle of its last points.
+    """
+    line = run.polygon_mm(_PLACES)
+    points = piece.frame.to_plane(piece.grains.points_mm)[:, :2]
+    reach_mm = _REACH * length_mm(line)
+    across_mm = _ACROSS * run.fitted.sigma_mm
+    low, high = (
+        _beyond(end, end - inner, points, reach_mm, across_mm)
+        for end, inner in ((line[0], line[_LAST]), (line[-1], line[-1 - _LAST]))
+    )
+    return frozen(piece.frame.to_part(np.concatenate([low, line, high])))
+
+
+def _beyond(
+    end: FloatArray, way: FloatArray, points: FloatArray, reach_mm: float, across_mm: float
+) -> FloatArray:
+    """Where the outermost of the points straight on from an end lies, (1, 2); (0, 2): none does."""
+    way = way / max(float(np.linalg.norm(way)), 1e-300)
+    arms = points - end
+    ahead, across = arms @ way, np.abs(arms @ np.array([-way[1], way[0]]))
+    on = ahead[(ahead > 0.0) & (ahead < reach_mm) & (across < across_mm)]
+    return end + float(on.max()) * way[None] if len(on) else np.empty((0, 2))
