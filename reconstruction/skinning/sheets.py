@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,7 +33,7 @@ from reconstruction.skinning.merging import Cells
 from reconstruction.skinning.net import Net
 from reconstruction.skinning.outlines import Moments
 from reconstruction.skinning.rounds import Rim, span_mm
-from reconstruction.skinning.skin import Skin, halvings, noise_of, rims_of
+from reconstruction.skinning.skin import Skin, halvings, noise_of, rims_of, standing_out
 from reconstruction.skinning.spreading import Spread, view
 from reconstruction.skinning.strands import Strand, meridians_of, stripes_of
 from reconstruction.skinning.tensor_fit import FREE, fit_net
@@ -47,10 +48,20 @@ _STATIONS_A_SPAN, _LEAST_STATIONS = 3, 96
 _ALL_ROUND = math.radians(75.0)  # no wider gap between meridians that go all round
 _REACH = 3.0  # spans of the first net: cells farther off are not its
 _LEAST_STRANDS = 2
+_FEWEST, _MOST_KEPT = 8, 0.9  # strands, and of them, that are never taken for wild
+_ROUGH = 48  # stations that tell which are
 _FEW, _SPANS_A_ROW = 20, 2  # as in `skin`: of so few, a spline may take the fit's place
 
 
-def skin_stripes(stack: Sequence[SliceOutlines]) -> Skin:
+@dataclass(frozen=True, slots=True, eq=False)
+class Sheet:
+    """One surface, and the slices that had no say in it."""
+
+    skin: Skin
+    wild: tuple[int, ...]  # indices of slices that stand out from both neighbours
+
+
+def fit_stripes(stack: Sequence[SliceOutlines]) -> Sheet:
     """Fit one open surface to parallel open sections, given by height.
 
     Raises
@@ -60,20 +71,62 @@ def skin_stripes(stack: Sequence[SliceOutlines]) -> Skin:
     Unfittable
         Their points do not hold a surface.
     """
+    axes = stack[0].frame.axes
+
+    def placed(found: Spread) -> FloatArray:
+        return np.asarray(found.places_mm @ axes[:2] + found.positions[:, None, None] * axes[2])
+
+    wild = _wild(_enough(stripes_of(stack)), placed, cyclic=False)
+    kept = [piece for piece in stack if piece.index not in wild]
+    return Sheet(_skin_stripes(kept, placed), wild)
+
+
+def fit_meridians(stack: Sequence[SliceOutlines], fan: Fan) -> Sheet:
+    """Fit one surface about the axis that the slices share.
+
+    Raises
+    ------
+    NotLoftable, Unfittable
+        As `fit_stripes`.
+    """
+    strands = _enough(meridians_of(stack, fan))
+    cyclic = goes_round([strand.position for strand in strands])
+
+    def placed(found: Spread) -> FloatArray:
+        return _about(found, fan).swapaxes(0, 1)
+
+    wild = _wild(strands, placed, cyclic=cyclic)
+    kept = [piece for piece in stack if piece.index not in wild]
+    return Sheet(_skin_meridians(kept, fan), wild)
+
+
+def _wild(
+    strands: Sequence[Strand], placed: Callable[[Spread], FloatArray], *, cyclic: bool
+) -> tuple[int, ...]:
+    """Indices of the slices whose strands stand out from both neighbours, one after another."""
+    left, found = list(strands), []
+    while len(left) > max(_FEWEST, _MOST_KEPT * len(strands)):
+        seen = view(left, 0.0, cyclic=cyclic, stepped=False)
+        worst = standing_out(placed(seen.stations([_ROUGH])), cyclic=cyclic)
+        if worst is None:
+            break
+        found.append(left.pop(worst).slice_index)
+    return tuple(found)
+
+
+def _skin_stripes(stack: Sequence[SliceOutlines], placed: Callable[[Spread], FloatArray]) -> Skin:
     strands = _enough(stripes_of(stack))
     runs = tuple(run for piece in stack for run in piece.runs)
     spans = _spans_along(stack), _spans_across(len(strands))
     branch = Branch(runs, cyclic=False, ends=None, hole=False)
     sigma_mm = math.sqrt(noise_of(branch).level_mm2)
     seen = view(strands, sigma_mm, cyclic=False, stepped=True)
-    axes = stack[0].frame.axes
 
     def laid(spans: tuple[int, int], *, through: bool = False) -> Net:
         faces = seen.face_spans(spans[0])
         whole = sum(faces)
         a_span = -(-_stations(whole) // whole)
-        found = seen.stations([a_span * face for face in faces])
-        places = found.places_mm @ axes[:2] + found.positions[:, None, None] * axes[2]
+        places = placed(seen.stations([a_span * face for face in faces]))
         rows = _evenly(places, spans[1])
         columns = np.arange(float(a_span * whole + 1)) / a_span
         creases = np.cumsum(faces)[:-1]
@@ -96,14 +149,7 @@ def skin_stripes(stack: Sequence[SliceOutlines]) -> Skin:
     )
 
 
-def skin_meridians(stack: Sequence[SliceOutlines], fan: Fan) -> Skin:
-    """Fit one surface about the axis that the slices share.
-
-    Raises
-    ------
-    NotLoftable, Unfittable
-        As `skin_stripes`.
-    """
+def _skin_meridians(stack: Sequence[SliceOutlines], fan: Fan) -> Skin:
     strands = _enough(meridians_of(stack, fan))
     round_ = goes_round([strand.position for strand in strands])
     turned = strands if round_ else _from_the_gap(strands)

@@ -261,7 +261,7 @@ def _aligned(branch: Branch) -> tuple[Branch, Stations, list[Moments]]:
         stations = align(branch.outlines, count, cyclic=branch.cyclic)
         if len(branch.outlines) <= _FEWEST:
             return branch, stations, wild
-        worst = _standing_out(stations, cyclic=branch.cyclic)
+        worst = standing_out(stations.places_mm, cyclic=branch.cyclic)
         if worst is None:
             return branch, stations, wild
         wild.append(branch.outlines[worst].moments)
@@ -269,9 +269,8 @@ def _aligned(branch: Branch) -> tuple[Branch, Stations, list[Moments]]:
         branch = replace(branch, outlines=kept)
 
 
-def _standing_out(stations: Stations, *, cyclic: bool) -> int | None:
-    """The outline farthest from where its neighbours would have it, if that is far."""
-    places = stations.places_mm
+def standing_out(places: FloatArray, *, cyclic: bool) -> int | None:
+    """Which of rows (k, m, 3) is farthest from where its neighbours would have it, if far."""
     strides = np.linalg.norm(places - np.roll(places, 1, axis=0), axis=2)
     below = np.sqrt((strides**2).mean(axis=1)) + 1e-300
     above = np.roll(below, -1)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reconstruction.arrays import FloatArray, frozen
+from reconstruction.arrays import FloatArray
 from reconstruction.skinning.drawing import SliceOutlines
 from reconstruction.skinning.layout import Fan
 from reconstruction.skinning.outlines import Outline
@@ -53,7 +53,7 @@ def stripes_of(stack: Sequence[SliceOutlines]) -> tuple[Strand, ...]:
     return tuple(
         Strand(piece.index, piece.height_mm, runs)
         for piece in stack
-        if (runs := tuple(_placed(run, piece) @ axes[:2].T for run in piece.runs))
+        if (runs := tuple(part @ axes[:2].T for run in piece.runs for part in _placed(run, piece)))
     )
 
 
@@ -64,7 +64,7 @@ def meridians_of(stack: Sequence[SliceOutlines], fan: Fan) -> tuple[Strand, ...]
 
 
 def _sides(piece: SliceOutlines, fan: Fan) -> list[Strand]:
-    runs = [fan.places_of(_placed(run, piece), piece.frame) for run in piece.runs]
+    runs = [fan.places_of(part, piece.frame) for run in piece.runs for part in _placed(run, piece)]
     if not runs:
         return []
     ahead = max(float(run[:, 0].max()) for run in runs)
@@ -91,10 +91,11 @@ def _ahead(run: FloatArray) -> list[FloatArray]:
     return [run[part] for part in parts if on_this_side[part[0]] and len(part) >= _FEWEST]
 
 
-def _placed(run: Outline, piece: SliceOutlines) -> FloatArray:
-    """Places (n, 3) along a run in the part frame, as far as its points go.
+def _placed(run: Outline, piece: SliceOutlines) -> list[FloatArray]:
+    """Places (n, 3) along a run in the part frame, gap by gap, as far as its points go.
 
-    A fitted curve ends in the middle of its last points.
+    A fitted curve ends in the middle of its last points. What bridges its gaps is left to the
+    neighbours.
     """
     line = run.polygon_mm(_PLACES)
     points = piece.frame.to_plane(piece.grains.points_mm)[:, :2]
@@ -104,7 +105,21 @@ def _placed(run: Outline, piece: SliceOutlines) -> FloatArray:
         _beyond(end, end - inner, points, reach_mm, across_mm)
         for end, inner in ((line[0], line[_LAST]), (line[-1], line[-1 - _LAST]))
     )
-    return frozen(piece.frame.to_part(np.concatenate([low, line, high])))
+    parts = _between_gaps(run, line)
+    parts[0] = np.concatenate([low, parts[0]])
+    parts[-1] = np.concatenate([parts[-1], high])
+    return [piece.frame.to_part(part) for part in parts if len(part) >= _FEWEST]
+
+
+def _between_gaps(run: Outline, line: FloatArray) -> list[FloatArray]:
+    """A run's line (n, 2), evenly in its parameter, without what lies in its gaps."""
+    u = np.linspace(*run.fitted.domain, len(line))
+    number = np.zeros(len(line), np.int64)
+    inside = np.zeros(len(line), np.bool_)
+    for start, end in run.fitted.gap_intervals:
+        inside |= (u > start) & (u < end)
+        number += u >= end
+    return [line[(number == part) & ~inside] for part in range(int(number[-1]) + 1)]
 
 
 def _beyond(

@@ -37,7 +37,7 @@ from reconstruction.skinning.joining import join_solids
 from reconstruction.skinning.layout import Layout, fan_of, layout_of
 from reconstruction.skinning.outlines import Moments, Outline, lifted
 from reconstruction.skinning.primitives import Cone, Cylinder
-from reconstruction.skinning.sheets import skin_meridians, skin_stripes
+from reconstruction.skinning.sheets import Sheet, fit_meridians, fit_stripes
 from reconstruction.skinning.skin import Skin, skin_branch
 from reconstruction.skinning.standing_in import Nurbs, part_of
 
@@ -110,32 +110,37 @@ def skin_slices(
     found = layout_of(slices, layout)
     if found is Layout.RINGS:
         return _skin_rings(slices, tolerance_mm=tolerance_mm, exact=exact, nurbs=nurbs)
-    skin = _skin_open(slices, found, exact)
+    sheet = _sheet(slices, found)
+    skin = _exact_in_place_of(sheet.skin) if exact is Exact.AUTO else sheet.skin
     chord = tolerance_mm or affordable_mm(skin, _chord(skin, (skin,)))
     if isinstance(skin, Skin) and skin.open:
         mesh = open_mesh(skin, chord)
     else:
         mesh = closed_mesh(skin, chord)
     left_out = tuple(outline for piece in slices for outline in piece.outlines)
-    doubts = tuple(
+    doubts = [Doubt(each, "stands out from both neighbours: left out") for each in sheet.wild]
+    doubts += [
         Doubt(each.slice_index, "a closed contour among open sections: left out")
         for each in left_out
-    )
-    branching = Branching((skin.branch,), (), doubts, left_out)
+    ]
+    branching = Branching((skin.branch,), (), tuple(doubts), left_out)
     return Skinned(branching, (skin,), mesh, chord, layout=found)
 
 
-def _skin_open(slices: Sequence[SliceOutlines], layout: Layout, exact: Exact) -> AnySkin:
+def _sheet(slices: Sequence[SliceOutlines], layout: Layout) -> Sheet:
     """The one surface of stripes or meridians."""
     fan = fan_of([piece.frame for piece in slices])
     if layout is Layout.STRIPES:
         if fan is not None:
             raise NotLoftable("the slices' planes are not parallel: they are meridians, no stripes")
-        return skin_stripes(sorted(slices, key=lambda each: each.height_mm))
+        return fit_stripes(sorted(slices, key=lambda each: each.height_mm))
     if fan is None:
         raise NotLoftable("the slices' planes are parallel: they are no meridians about an axis")
-    skin = skin_meridians(slices, fan)
-    return skin if exact is Exact.NEVER else exact_of_meridians(skin) or skin
+    return fit_meridians(slices, fan)
+
+
+def _exact_in_place_of(skin: Skin) -> AnySkin:
+    return exact_of_meridians(skin) or skin
 
 
 def _skin_rings(

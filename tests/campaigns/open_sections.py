@@ -2,9 +2,9 @@
 
     python -m tests.campaigns.open_sections [--seeds 3] [--only CASE ...]
 
-Of every case, medians over the seeds: rms and greatest distance of a lattice of 400 x 400 places of
-the surface from the formula (the 2 mm beside ends, and 0.5 mm beside the unseen wall of a step, left
-out), the bound sigma sqrt(freedom / points), whether the mesh is watertight and its Euler number,
+Of every case, medians over the seeds: rms and greatest distance of a lattice of 400 x 400 places
+of the surface from the formula (the 2 mm beside ends, and 0.5 mm beside the unseen wall of a step,
+left out), the bound sigma sqrt(freedom / points), whether the mesh is watertight, its Euler number,
 whether the surface folds (its normal turns against the part's outside on 1000 x 1000 places), what
 STEP holds and whether BRepCheck calls it valid, how far IGES and 3DM read back are off, seconds of
 processor time to the mesh.
@@ -187,7 +187,7 @@ def measure(name: str, case: Case, seeds: int) -> None:
         last = reconstruct(case.slices(seed), exact=case.exact)  # type: ignore[arg-type]
         seconds.append(time.process_time() - begun)
         if len(last.surface) != 1:
-            print(f"{name:40} {len(last.surface)} surfaces; {last.warnings[:1]}")
+            sys.stdout.write(f"{name:40} {len(last.surface)} surfaces; {last.warnings[:1]}\n")
             return
         places, _ = lattice_of(last, LATTICE)
         errors = case.errors(places[case.told(places)])
@@ -198,12 +198,12 @@ def measure(name: str, case: Case, seeds: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
         cad = cad_of(last, Path(folder) / "out")
     points, numbers = last.metrics["points_in"], last.metrics
-    print(
+    sys.stdout.write(
         f"{name:40} N {points} rms {rms:.4f} max {most:.4f} bound {bound:.4f} mm;"
         f" watertight {numbers['watertight']}, Euler {numbers['euler_number']},"
-        f" folds {folds(case, last)}; STEP {cad}; {np.median(seconds):.1f} s",
-        flush=True,
+        f" folds {folds(case, last)}; STEP {cad}; {np.median(seconds):.1f} s\n"
     )
+    sys.stdout.flush()
 
 
 def main(arguments: list[str]) -> int:
