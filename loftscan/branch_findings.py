@@ -9,6 +9,7 @@ from reconstruction.fit_pipeline import FittedReconstruction
 from reconstruction.skinning.branch import Branch, Ending
 from reconstruction.skinning.ends import Apex, Brim
 from reconstruction.skinning.exact_skins import AnySkin
+from reconstruction.skinning.layout import Layout
 
 _MOST = 8  # doubts that are said one by one
 
@@ -18,6 +19,7 @@ def judge_branches(done: FittedReconstruction) -> list[str | None]:
     return [
         done.skinned.wrapping or None,
         *_shortened(tell_doubts(done)),
+        _borders(done),
         _runs(done),
         _shoulders(done),
         _ends(done),
@@ -26,10 +28,11 @@ def judge_branches(done: FittedReconstruction) -> list[str | None]:
 
 def tell_doubts(done: FittedReconstruction) -> list[str]:
     """Say everything that is doubtful about contours and how they follow each other."""
+    ringed = done.skinned.layout is Layout.RINGS  # of others it is known that they are open
     notes = [
         f"slice {section.index}: {note}"
         for section in done.sections
-        for note in section.outlines.notes
+        for note in (*section.outlines.notes, *(section.outlines.undecided if ringed else ()))
     ]
     return [*done.skinned.branching.warnings, *notes]
 
@@ -41,10 +44,21 @@ def _shortened(said: list[str]) -> list[str | None]:
     return [*said[:_MOST], f"and {rest} more doubts: all are in the report"]
 
 
+def _borders(done: FittedReconstruction) -> str | None:
+    """What encloses nothing is no solid."""
+    if not done.skinned.open:
+        return None
+    seen = "side by side" if done.skinned.layout is Layout.STRIPES else "about a part of a turn"
+    return (
+        f"the sections are open and lie {seen}, so the surface is open, with borders: no volume,"
+        " and CAD files hold a sheet, no solid (rings are asked for by --layout rings)"
+    )
+
+
 def _runs(done: FittedReconstruction) -> str | None:
     """Open contours are no part of a solid."""
     named = [section for section in done.sections if section.outlines.runs]
-    if not named:
+    if not named or done.skinned.layout is not Layout.RINGS:
         return None
     many = sum(len(section.outlines.runs) for section in named)
     return (
@@ -89,13 +103,15 @@ def _ends(done: FittedReconstruction) -> str | None:
 
 def _kinds(skin: AnySkin) -> list[str]:
     """How the open ends of a branch were closed; joints are none, nor what a shape tells."""
-    if skin.brims is None or skin.branch.ends is None:
+    if skin.brims is None or skin.branch.ends is None or skin.open:
         return []
     pairs = zip(skin.brims, skin.branch.ends, strict=True)
     return [
         _kind(brim)
-        for brim, end in pairs
-        if end.ending is not Ending.JOINED and not (skin.shape and isinstance(brim, Apex))
+        for (brim, end), seen in zip(pairs, skin.seen, strict=True)
+        if not (seen and isinstance(brim, Apex))
+        and end.ending is not Ending.JOINED
+        and not (skin.shape and isinstance(brim, Apex))
     ]
 
 

@@ -17,6 +17,7 @@ from loftscan.spans import spans
 from reconstruction.pipeline import Reconstruction
 from reconstruction.sections import Section, Skipped
 from reconstruction.setting_aside import Aside
+from reconstruction.skinning.layout import Layout
 
 _NOTABLE_SHARE = 0.02  # of a slice's points left out before the slice is named
 _NOTABLE_STRAYS = 0.005  # of all points
@@ -33,9 +34,14 @@ def judge(cutting: Sliced, done: AnyReconstruction) -> tuple[str, ...]:
         _wide_gaps(done.sections),
         *own,
         _skipped(done),
-        _lying(cutting, done.sections),
+        None if _is_laid_open(done) else _lying(cutting, done.sections),
     ]
     return tuple(sentence for sentence in found if sentence)
+
+
+def _is_laid_open(done: AnyReconstruction) -> bool:
+    """Whether open sections are what the surface was made of."""
+    return not isinstance(done, Reconstruction) and done.skinned.layout is not Layout.RINGS
 
 
 def _of_paper(done: Reconstruction) -> list[str | None]:

@@ -16,9 +16,10 @@ from drivers.profiler import Reason
 from loftscan.coverage import share_of_turn
 from loftscan.scans import Absent, Arrival, corners_of
 from reconstruction.arrays import BoolArray, FloatArray, IntArray, frozen
-from reconstruction.errors import TooFewPoints
+from reconstruction.errors import NotLoftable, TooFewPoints
 from reconstruction.reduction import Box
 from reconstruction.setting_aside import Aside, find_part
+from reconstruction.skinning.layout import Fan, fan_of, is_turned
 from reconstruction.slices import Frame, Slice
 from reconstruction.survey import Axis, Spacing, SpacingRule, survey_cloud
 
@@ -119,6 +120,9 @@ class Intake:
                 f"{len(self._pieces)} slices without a point in them: did the sensor see the part?"
             )
         box = Box(np.min(corners, axis=0)[0], np.max(corners, axis=0)[1])
+        fan = _fan([kept.sample.frame for kept in self._pieces])
+        first = self._pieces[0].sample.frame.axes[2]
+        pieces = [kept.sample for kept in self._pieces]
         return Gathered(
             indices=tuple(kept.sample.index for kept in self._pieces),
             counts=np.array([kept.count for kept in self._pieces]),
@@ -127,8 +131,8 @@ class Intake:
             aside={reason: some.count for reason, some in self._aside.items()},
             aside_mm={reason: some.points for reason, some in self._aside.items()},
             box=box,
-            axis=stacking_axis(self._pieces[0].sample.frame),
-            spacing=_spacing([kept.sample for kept in self._pieces]),
+            axis=nearest_axis(first if fan is None else fan.frame.axes[2]),
+            spacing=_spacing(pieces) if fan is None else _turned_spacing(pieces, fan, box),
             absent=tuple(self._absent),
             reasons=self._reasons,
             profiles=self._profiles,
@@ -139,7 +143,10 @@ class Intake:
             return
         before = self._pieces[-1].sample
         here_mm, there_mm = height_mm(piece.frame), height_mm(before.frame)
-        if piece.index <= before.index or here_mm <= there_mm:
+        first = self._pieces[0].sample
+        turned = is_turned(piece.frame, before.frame) or is_turned(piece.frame, first.frame)
+        low = here_mm <= there_mm and not turned
+        if piece.index <= before.index or low:
             raise ValueError(
                 f"slice {piece.index} at {here_mm:.4g} mm follows slice {before.index} at"
                 f" {there_mm:.4g} mm: indices and heights along the normal must both increase"
@@ -268,9 +275,27 @@ def height_mm(frame: Frame) -> float:
     return float(frame.origin_mm @ frame.axes[2])
 
 
-def stacking_axis(frame: Frame) -> Axis:
-    """The axis of the part frame that is nearest to a plane's normal."""
-    return list(Axis)[int(np.abs(frame.axes[2]).argmax())]
+def nearest_axis(direction: FloatArray) -> Axis:
+    """The axis of the part frame that is nearest to a direction (3,)."""
+    return list(Axis)[int(np.abs(direction).argmax())]
+
+
+def _fan(frames: list[Frame]) -> Fan | None:
+    try:
+        return fan_of(frames)
+    except NotLoftable:  # the surface will say so
+        return None
+
+
+def _turned_spacing(pieces: list[Slice], fan: Fan, box: Box) -> Spacing:
+    """The way from meridian to meridian where the part is farthest from their axis."""
+    angles = np.unwrap([fan.angle_of(piece.frame) for piece in pieces])
+    steps = np.abs(np.diff(angles) / np.diff([piece.index for piece in pieces]))
+    across = np.delete(np.arange(3), int(np.abs(fan.frame.axes[2]).argmax()))
+    arms = np.stack([box.low_mm, box.high_mm])[:, across] - fan.frame.origin_mm[across]
+    far_mm = float(np.abs(arms).max())
+    step = float(np.median(steps)) if len(steps) else 0.0
+    return Spacing(step * far_mm, float(angles[0]) * far_mm, SpacingRule.ROWS)
 
 
 def _spacing(pieces: list[Slice]) -> Spacing:

@@ -214,3 +214,19 @@ def hash_file(path: Path) -> str:
     """SHA-256 of a file's bytes."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def parse_place(text: str) -> tuple[float, float]:
+    """Read --axis-at X,Y.
+
+    Raises
+    ------
+    ValueError
+    """
+    try:
+        first, second = (float(word) for word in text.split(","))
+    except ValueError as wrong:
+        raise ValueError(f"--axis-at {text!r}: two numbers in mm expected, as 0,0") from wrong
+    if not (math.isfinite(first) and math.isfinite(second)):
+        raise ValueError(f"--axis-at {text!r}: finite numbers in mm expected")
+    return first, second

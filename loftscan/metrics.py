@@ -116,6 +116,8 @@ def _of_paper(done: Reconstruction) -> dict[str, object]:
 def _of_fit(done: FittedReconstruction) -> dict[str, object]:
     branching, skins = done.skinned.branching, done.skinned.skins
     return {
+        "layout": done.skinned.layout.value,
+        "surface_open": done.skinned.open,
         "contours": sum(len(section.outlines.outlines) for section in done.sections),
         "contours_left_out": len(branching.left_out),
         "contours_open": sum(len(section.outlines.runs) for section in done.sections),

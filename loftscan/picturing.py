@@ -117,7 +117,7 @@ def draw_mesh(result: Result, camera: Camera, size_px: tuple[int, int] = _SIZE_P
 def synthetic_faces(result: Result) -> BoolArray:
     """Faces that stand on no measured point, (m,): in a bridged gap, or on a cap."""
     mesh = result.mesh
-    heights = mesh.vertices_mm @ result.sections[0].frame.axes[2]
+    heights = mesh.vertices_mm @ result.reconstruction.normal
     flagged = mesh.synthetic[mesh.faces].sum(axis=1) >= 2
     for cap in result.reconstruction.cap_heights_mm:
         flagged |= (np.abs(heights - cap) < 1e-6)[mesh.faces].all(axis=1)

@@ -23,11 +23,13 @@ from reconstruction.cleanup import CleanupSettings
 from reconstruction.comparison import Deviation, compare_to_mesh
 from reconstruction.course import OF_A_CLOUD, run_course
 from reconstruction.errors import TooFewPoints
+from reconstruction.fanning import FAN_PASSES, FanCutting, fan_cloud
 from reconstruction.fit_pipeline import FitCourse, FittedReconstruction
 from reconstruction.fitting.curve import Exact
 from reconstruction.paper import PaperSettings
 from reconstruction.pipeline import PaperCourse, Reconstruction
 from reconstruction.reduction import Box
+from reconstruction.skinning.layout import Layout
 from reconstruction.skinning.standing_in import Nurbs
 from reconstruction.slices import Slice
 from reconstruction.slicing import PASSES, Cutting, cut_cloud
@@ -52,6 +54,8 @@ class Settings:
     intermediate: int = 0
     exact: Exact = Exact.AUTO
     nurbs: Nurbs = Nurbs.AUTO
+    layout: Layout = Layout.AUTO
+    axis_at_mm: tuple[float, float] | None = None  # of meridians of a cloud
     cleanup: CleanupSettings = field(default_factory=CleanupSettings)
 
     def __post_init__(self) -> None:
@@ -67,6 +71,8 @@ class Settings:
             raise ValueError(
                 f"--intermediate {self.intermediate}: 0 to {_MOST_INTERMEDIATE} rows are possible"
             )
+        if self.axis_at_mm is not None and self.layout is not Layout.MERIDIANS:
+            raise ValueError("--axis-at: only --layout meridians of a cloud stand about an axis")
         self._check_method()
 
     def _check_method(self) -> None:
@@ -77,6 +83,7 @@ class Settings:
             "--intermediate": fit and self.intermediate > 0,
             "--exact": not fit and self.exact is not Exact.AUTO,
             "--nurbs": not fit and self.nurbs is not Nurbs.AUTO,
+            "--layout": not fit and self.layout is not Layout.AUTO,
         }
         for option, given in useless.items():
             if given:
@@ -89,7 +96,7 @@ class Settings:
     def course(self) -> AnyCourse:
         """Begin a reconstruction by the method that was chosen."""
         if self.method is Method.FIT:
-            return FitCourse(self.exact, self.cleanup, nurbs=self.nurbs)
+            return FitCourse(self.exact, self.cleanup, nurbs=self.nurbs, layout=self.layout)
         paper = PaperSettings(resolution_mm=self.resolution_mm, intermediate=self.intermediate)
         return PaperCourse(paper, self.cleanup)
 
@@ -107,6 +114,8 @@ class Settings:
             "intermediate": self.intermediate,
             "exact": self.exact.value if self.method is Method.FIT else None,
             "nurbs": self.nurbs.value if self.method is Method.FIT else None,
+            "layout": self.layout.value if self.method is Method.FIT else None,
+            "axis_at_mm": str(list(self.axis_at_mm)) if self.axis_at_mm else None,
             "remesh_edge_mm": self.cleanup.remesh_edge_mm,
             "decimate_to_faces": self.cleanup.decimate_to_faces,
         }
@@ -145,21 +154,24 @@ def reconstruct_with(
         return _conclude(title, opened, cutting, done, collector.points, deviation, settings, clock)
 
 
-def _cut(opened: Input, settings: Settings, progress: Progress) -> Cutting:
+def _cut(opened: Input, settings: Settings, progress: Progress) -> Cutting | FanCutting:
+    spacing_mm, crop = settings.spacing_mm, settings.crop
     try:
-        return cut_cloud(
-            _counted(opened, progress),
-            settings.axis,
-            spacing_mm=settings.spacing_mm,
-            crop=settings.crop,
-        )
+        if settings.layout is Layout.MERIDIANS:
+            counted = _counted(opened, progress, PASSES + FAN_PASSES)
+            place_mm = settings.axis_at_mm
+            return fan_cloud(
+                counted, settings.axis, place_mm=place_mm, spacing_mm=spacing_mm, crop=crop
+            )
+        counted = _counted(opened, progress, PASSES)
+        return cut_cloud(counted, settings.axis, spacing_mm=spacing_mm, crop=crop)
     except TooFewPoints as few:
         inside = "" if settings.crop is None else " inside --crop"
         raise TooFewPoints(f"{opened.name}{inside}: {few}") from few
 
 
-def _counted(opened: Input, progress: Progress) -> Pass:
-    """The passes over an input, told as they go: every point is passed `PASSES` times."""
+def _counted(opened: Input, progress: Progress, passes: int) -> Pass:
+    """The passes over an input, told as they go: every point is passed so many times."""
     seen = 0
 
     def passing() -> Iterator[FloatArray]:
@@ -167,7 +179,7 @@ def _counted(opened: Input, progress: Progress) -> Pass:
         for chunk in opened.chunks():
             yield chunk
             seen += len(chunk)
-            progress("slicing", seen, PASSES * (opened.points or opened.cloud.point_count or 0))
+            progress("slicing", seen, passes * (opened.points or opened.cloud.point_count or 0))
 
     return passing
 
@@ -190,7 +202,7 @@ def _compare(sample_mm: FloatArray, done: AnyReconstruction, settings: Settings)
 def _conclude(
     title: str,
     opened: Input,
-    cutting: Cutting,
+    cutting: Cutting | FanCutting,
     done: AnyReconstruction,
     sample_mm: FloatArray,
     deviation: Deviation,

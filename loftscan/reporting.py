@@ -57,6 +57,12 @@ def _findings(result: Result) -> tuple[Finding, ...]:
         ends = "; its two ends are flat caps" if drawn else ""
         state = f"The mesh is closed, manifold and oriented{ends}."
         findings = [Finding(Severity.GOOD, state)]
+    elif _is_open_as_meant(result):
+        state = (
+            f"The mesh is an open surface of one piece, manifold and oriented, with"
+            f" {sound.boundary_edges} edges on its border; it encloses nothing."
+        )
+        findings = [Finding(Severity.NOTE, state)]
     else:
         state = f"The mesh is no sound solid: {sound.boundary_edges} open edges."
         findings = [Finding(Severity.FAILURE, state)]
@@ -74,6 +80,16 @@ def _findings(result: Result) -> tuple[Finding, ...]:
         Finding(Severity.WARNING, f"{text[0].upper()}{text[1:]}.") for text in result.warnings
     ]
     return tuple(findings)
+
+
+def _is_open_as_meant(result: Result) -> bool:
+    """Whether a surface of open sections came out whole."""
+    done = result.reconstruction
+    if isinstance(done, Reconstruction) or not done.skinned.open:
+        return False
+    sound = done.cleaned.after
+    whole = sound.manifold and sound.components == 1
+    return whole and sound.misdirected_edges == 0 and sound.degenerate_faces == 0
 
 
 def _explain_left_out(result: Result) -> tuple[str, ...]:
@@ -97,7 +113,7 @@ def _explain_left_out(result: Result) -> tuple[str, ...]:
 # -- tables --------------------------------------------------------------------------------------
 
 _SECTION_NAMES = "slices sections spacing patch control thickness radius cell gap contours"
-_BRANCH_NAMES = "branches joints cavities surface_sigma mesh_tolerance"
+_BRANCH_NAMES = "layout surface_open branches joints cavities surface_sigma mesh_tolerance"
 _MESH_NAMES = "vertices faces watertight oriented manifold euler components volume area"
 _GROUPS = {
     "Points": ("points_", "profiles"),

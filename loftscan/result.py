@@ -193,6 +193,8 @@ def _solid_of(done: AnyReconstruction) -> SolidOrder | None:
     """How the surfaces of branches enclose the part; the paper's patches enclose nothing."""
     if not isinstance(done, FittedReconstruction):
         return None
+    if done.skinned.open:  # it has borders: CAD gets a shell
+        return None
     bodies = bodies_of(done.skinned.shown)
     return SolidOrder(
         holes=tuple(body.hole for body in bodies),

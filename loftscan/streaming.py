@@ -80,6 +80,7 @@ def check_settings(settings: Settings) -> None:
         f"--axis {settings.axis.value}": settings.axis is not Axis.Z,
         "--spacing-mm": settings.spacing_mm is not None,
         f"--unit {settings.unit.value}": settings.unit is not Unit.MM,
+        "--axis-at": settings.axis_at_mm is not None,
     }
     wrong = [option for option, given in said.items() if given]
     if wrong:

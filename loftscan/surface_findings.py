@@ -7,6 +7,8 @@ small, so only the distances of the points from the mesh can tell.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from loftscan.methods import AnyReconstruction
@@ -16,6 +18,8 @@ from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.cleanup import CleanupSettings
 from reconstruction.comparison import Deviation
 from reconstruction.fit_pipeline import FittedReconstruction
+from reconstruction.skinning.layout import Layout, fan_of
+from reconstruction.slices import Frame
 
 _FAR_SIGMAS = 3.0  # half the points of a slice on the surface are within 0.67
 _FAR_TOLERANCES = 3.0  # of the mesh, where there is next to no noise
@@ -38,10 +42,13 @@ def judge_surface(
     if not isinstance(done, FittedReconstruction) or not len(sample_mm):
         return ()
     sections = done.sections
-    nearest = _nearest(
-        sample_mm[:, cutting.axis.column],
-        np.array([each.frame.origin_mm[cutting.axis.column] for each in sections]),
-    )
+    frames = [each.frame for each in sections]
+    if done.skinned.layout is Layout.MERIDIANS:
+        nearest = _nearest_meridian(sample_mm, frames)
+    else:
+        column = cutting.axis.column
+        heights_mm = np.array([frame.origin_mm[column] for frame in frames])
+        nearest = _nearest(sample_mm[:, column], heights_mm)
     least_mm = _FAR_TOLERANCES * done.skinned.tolerance_mm
     away_mm = {
         section.index: median_mm
@@ -58,6 +65,20 @@ def _nearest(places_mm: FloatArray, heights_mm: FloatArray) -> IntArray:
     ascending = heights_mm[order]
     borders = 0.5 * (ascending[1:] + ascending[:-1])
     return np.asarray(order[np.searchsorted(borders, places_mm)], dtype=np.int64)
+
+
+def _nearest_meridian(places_mm: FloatArray, frames: list[Frame]) -> IntArray:
+    """Number of the half plane, of some about an axis, that each place (n, 3) is nearest to."""
+    fan = fan_of(frames)
+    assert fan is not None, "meridians stand about an axis"
+    angles = np.array([fan.angle_of(frame) for frame in frames])
+    order = np.argsort(angles)
+    around = np.concatenate([order[-1:], order, order[:1]])
+    ascending = angles[around] + np.concatenate([[-math.tau], np.zeros(len(order)), [math.tau]])
+    x, y = fan.frame.axes[:2] @ (places_mm - fan.frame.origin_mm).T
+    own = np.mod(np.arctan2(y, x), math.tau)
+    borders = 0.5 * (ascending[1:] + ascending[:-1])
+    return np.asarray(around[np.searchsorted(borders, own)], dtype=np.int64)
 
 
 def _median(values: FloatArray) -> float:

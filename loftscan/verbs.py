@@ -27,6 +27,7 @@ from reconstruction.cleanup import CleanupSettings
 from reconstruction.comparison import Align
 from reconstruction.fitting.curve import Exact
 from reconstruction.reduction import Box
+from reconstruction.skinning.layout import Layout
 from reconstruction.skinning.standing_in import Nurbs
 from reconstruction.slices import Slice
 from reconstruction.survey import Axis
@@ -40,6 +41,8 @@ def reconstruct(
     method: Literal["fit", "paper"] = "fit",
     exact: Literal["auto", "never"] = "auto",
     nurbs: Literal["auto", "always"] = "auto",
+    layout: Literal["auto", "rings", "stripes", "meridians"] = "auto",
+    axis_at_mm: tuple[float, float] | None = None,
     spacing_mm: float | None = None,
     resolution_mm: float | None = None,
     tolerance_mm: float | None = None,
@@ -70,6 +73,13 @@ def reconstruct(
     nurbs
         Of ``"fit"``: ``"always"`` keeps the NURBS surfaces of the branches where one mesh around
         all points would stand in for them, because it follows the points and they do not.
+    layout
+        Of ``"fit"``: how the slices lie. ``"rings"`` are closed sections over one another,
+        ``"stripes"`` open ones side by side, ``"meridians"`` open ones about an axis; ``"auto"``:
+        as they show themselves. A cloud is cut in meridians only when asked for.
+    axis_at_mm
+        Where the axis of a cloud's meridians stands, (x, y) for ``axis="z"``; by default (0, 0) if
+        the cloud lies around it, else its middle.
     spacing_mm, resolution_mm
         Distance between slices (of a cloud only), and side of a cell (of ``"paper"`` only); by
         default found from the points.
@@ -102,6 +112,8 @@ def reconstruct(
         intermediate=intermediate,
         exact=Exact(exact),
         nurbs=Nurbs(nurbs),
+        layout=Layout(layout),
+        axis_at_mm=axis_at_mm,
         cleanup=CleanupSettings(remesh_edge_mm=remesh_edge_mm, decimate_to_faces=decimate_to_faces),
     )
     slices = _slices_in(source)
@@ -118,6 +130,7 @@ def reconstruct_stream(
     method: Literal["fit", "paper"] = "fit",
     exact: Literal["auto", "never"] = "auto",
     nurbs: Literal["auto", "always"] = "auto",
+    layout: Literal["auto", "rings", "stripes", "meridians"] = "auto",
     resolution_mm: float | None = None,
     tolerance_mm: float | None = None,
     crop_mm: Sequence[Sequence[float]] | None = None,
@@ -167,6 +180,7 @@ def reconstruct_stream(
         intermediate=intermediate,
         exact=Exact(exact),
         nurbs=Nurbs(nurbs),
+        layout=Layout(layout),
         cleanup=CleanupSettings(remesh_edge_mm=remesh_edge_mm, decimate_to_faces=decimate_to_faces),
     )
     slices = _coming(source, kinematics, patience_s)

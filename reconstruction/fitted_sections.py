@@ -92,16 +92,21 @@ class FittedSection:
 
 
 def draw_fitted_section(
-    piece: Slice, *, exact: Exact = Exact.AUTO
+    piece: Slice, *, exact: Exact = Exact.AUTO, solid: bool = True
 ) -> tuple[SliceOutlines, FittedSection | None]:
     """Fit the contours of a slice.
+
+    Parameters
+    ----------
+    solid
+        The slice is one all through a solid: what may be closed or open is closed.
 
     Returns
     -------
     outlines, section
         Without any curve there is no section; `explain_nothing` says why.
     """
-    drawn = draw_outlines(piece, exact=exact)
+    drawn = draw_outlines(piece, exact=exact, solid=solid)
     fitted = tuple(each.fitted for each in (*drawn.outlines, *drawn.runs))
     if not fitted:
         return drawn, None

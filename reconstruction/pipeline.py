@@ -38,6 +38,11 @@ class Reconstruction:
     cleaned: Cleaned  # what the cleanup did and found
 
     @property
+    def normal(self) -> FloatArray:
+        """The stacking normal (3,), along which heights are told."""
+        return np.asarray(self.sections[0].frame.axes[2])
+
+    @property
     def cap_heights_mm(self) -> FloatArray:
         """Heights along the stacking normal at which flat caps close the part."""
         ends = (self.sections[0].frame, self.sections[-1].frame)

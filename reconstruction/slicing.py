@@ -84,7 +84,7 @@ def cut_cloud(
     TooFewPoints
         Where nothing is left to slice.
     """
-    inside = points if crop is None else _cropped(points, crop)
+    inside = points if crop is None else cropped(points, crop)
     survey = survey_cloud(inside, axis)
     spacing = choose_spacing(survey, axis, given_mm=spacing_mm)
     keep = find_part(inside, survey, axis)
@@ -98,7 +98,9 @@ def cut_cloud(
     return Cutting(survey, spacing, axis, frozen(levels, np.int64), aside, drawn, box, pile)
 
 
-def _cropped(points: Pass, crop: Box) -> Pass:
+def cropped(points: Pass, crop: Box) -> Pass:
+    """Only the points in a box, pass by pass."""
+
     def passing() -> Iterator[FloatArray]:
         for chunk in points():
             kept = chunk[((chunk >= crop.low_mm) & (chunk <= crop.high_mm)).all(axis=1)]

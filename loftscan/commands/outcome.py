@@ -70,6 +70,8 @@ def tell(result: Result, out: Path, *, json_lines: bool) -> None:
     for warning in result.warnings:
         typer.echo(f"warning: {warning}", err=True)
     state = "watertight" if numbers["watertight"] else "NOT watertight"
+    if numbers.get("surface_open"):
+        state = "an open surface, no solid"
     print(
         f"{result.name}: {numbers['points_in']} points, {numbers['sections']} of "
         f"{numbers['slices']} slices became sections, {numbers['patches']} patches"

@@ -65,6 +65,19 @@ def reconstruct(
             help="Method fit: auto, or always, where a mesh of all points would be truer."
         ),
     ] = "auto",
+    layout: Annotated[
+        str,
+        typer.Option(
+            help="How the slices lie, method fit: rings, stripes, meridians, or auto: as they show."
+        ),
+    ] = "auto",
+    axis_at: Annotated[
+        str | None,
+        typer.Option(
+            help="Where the axis of a cloud's meridians stands, in mm: X,Y of --axis z; by default"
+            " 0,0, or the cloud's middle."
+        ),
+    ] = None,
     tolerance_mm: Tolerance = None,
     crop: Annotated[
         str | None, typer.Option(help="Use only this box, in mm: xmin,xmax,ymin,ymax,zmin,zmax.")
@@ -89,7 +102,7 @@ def reconstruct(
 
         settings = _settings(
             method, axis, unit, spacing_mm, resolution_mm, tolerance_mm, crop, intermediate,
-            exact, nurbs, remesh_mm, decimate_faces,
+            exact, nurbs, layout, axis_at, remesh_mm, decimate_faces,
         )  # fmt: skip
         # Refused before the work, not after it.
         wanted = writable_formats(formats)
@@ -173,14 +186,17 @@ def _settings(
     intermediate: int,
     exact: str,
     nurbs: str,
+    layout: str,
+    axis_at: str | None,
     remesh_mm: float | None,
     decimate_faces: int | None,
 ) -> Settings:
-    from loftscan.inputs import Unit, parse_crop
+    from loftscan.inputs import Unit, parse_crop, parse_place
     from loftscan.methods import Method
     from loftscan.reconstructing import Settings
     from reconstruction.cleanup import CleanupSettings
     from reconstruction.fitting.curve import Exact
+    from reconstruction.skinning.layout import Layout
     from reconstruction.skinning.standing_in import Nurbs
     from reconstruction.survey import Axis
 
@@ -199,5 +215,7 @@ def _settings(
         intermediate=intermediate,
         exact=choice(Exact, exact, "--exact"),
         nurbs=choice(Nurbs, nurbs, "--nurbs"),
+        layout=choice(Layout, layout, "--layout"),
+        axis_at_mm=None if axis_at is None else parse_place(axis_at),
         cleanup=CleanupSettings(remesh_edge_mm=remesh_mm, decimate_to_faces=decimate_faces),
     )

@@ -1,10 +1,12 @@
-"""The closed mesh of one branch: rings of its surface joined by bands, ends closed by flat caps.
+"""The mesh of one branch: rings of its surface joined by bands, ends closed by flat caps.
 
 ::
 
     cap        flat, in the plane of a brim; or none at an apex, where a ring is one point
     rings      u lines of the surface, at parameters dense enough for the chordal tolerance
     cap        a branch that turned over is closed by a band from its last ring to its first
+
+An open surface has lines instead of rings, and no caps.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -26,6 +29,7 @@ from reconstruction.skinning.ends import Apex
 from reconstruction.skinning.exact_skins import AnySkin, ExactSkin
 from reconstruction.skinning.net import Net
 from reconstruction.skinning.ring_caps import triangulate_ring
+from reconstruction.skinning.skin import Skin
 
 _MOST_A_SPAN = 16
 _MOST_FACES = 250_000  # of a branch
@@ -111,21 +115,46 @@ def closed_mesh(skin: AnySkin, tolerance_mm: float) -> Mesh:
     if surface.periodic_v:
         faces.append(_band(numbers[-1], numbers[0]))
     elif is_ring_ended(skin.branch):
-        faces.append(_ring(rings, numbers, skin.branch.outlines[0].frame.axes[:2]))
+        faces.append(_ring(rings, numbers, skin.branch.axes[:2]))
     else:
         assert skin.brims is not None, "an open surface has brims"
-        axes = skin.branch.outlines[0].frame.axes[:2]
+        axes = skin.branch.axes[:2]
         low, high = skin.brims
         if not isinstance(low, Apex):
             faces.append(numbers[0][triangulate_polygon(rings[0] @ axes.T)][:, ::-1])
         if not isinstance(high, Apex):
             faces.append(numbers[-1][triangulate_polygon(rings[-1] @ axes.T)])
     found = np.concatenate(faces)
-    whole = (found[:, 0] != found[:, 1]) & (found[:, 1] != found[:, 2]) & (
-        found[:, 2] != found[:, 0]
-    )  # fmt: skip
-    mesh = Mesh(vertices, found[whole], synthetic)
-    return mesh if _volume(mesh) > 0.0 else Mesh(vertices, found[whole][:, ::-1], synthetic)
+    found = found[_whole(found)]
+    mesh = Mesh(vertices, found, synthetic)
+    return mesh if _volume(mesh) > 0.0 else Mesh(vertices, found[:, ::-1], synthetic)
+
+
+def open_mesh(skin: Skin, tolerance_mm: float) -> Mesh:
+    """Mesh an open surface; most of its faces look up along the part axis that it faces most."""
+    net = skin.fit.net
+    lines = choose_lines(net, tolerance_mm)
+    rows = evaluate_surface(skin.surface, lines.u, lines.v).swapaxes(0, 1)
+    marks = skin.synthetic(*np.meshgrid(lines.u, lines.v, indexing="ij")).T
+    pointed = [isinstance(brim, Apex) for brim in skin.brims or ()]
+    numbers, vertices, synthetic = _numbered(rows, marks, pointed or [False, False])
+    bands = [_band(low, high) for low, high in pairwise(numbers)]
+    if not net.closed_u:  # the last triangles of either kind lead back to the first column
+        count = len(numbers[0])
+        bands = [np.delete(band, [count - 1, 2 * count - 1], axis=0) for band in bands]
+    found = np.concatenate(bands)
+    found = found[_whole(found)]
+    mesh = Mesh(vertices, found, synthetic)
+    a, b, c = (vertices[found[:, k]] for k in range(3))
+    facing = np.cross(b - a, c - a).sum(axis=0)
+    upward = facing[np.argmax(np.abs(facing))] > 0.0
+    return mesh if upward else Mesh(vertices, found[:, ::-1], synthetic)
+
+
+def _whole(faces: IntArray) -> BoolArray:
+    """Which triangles (m, 3) have three corners."""
+    a, b, c = faces.T
+    return np.asarray((a != b) & (b != c) & (c != a))
 
 
 def _numbered(

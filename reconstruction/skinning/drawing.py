@@ -45,7 +45,8 @@ class SliceOutlines:
     runs: tuple[Outline, ...]  # open ones, by length, the longest first
     strays: int  # points set aside
     unordered: int  # points that hang together without a curve
-    notes: tuple[str, ...]  # what is not certain
+    notes: tuple[str, ...]  # what gave no curve
+    undecided: tuple[str, ...] = ()  # contours that may be closed or open
     grains: Grains = EMPTY  # all its points, whatever became of them
 
     @property
@@ -59,20 +60,33 @@ class SliceOutlines:
         return float(self.frame.origin_mm @ self.frame.axes[2])
 
 
-def draw_outlines(piece: Slice, *, exact: Exact = Exact.AUTO) -> SliceOutlines:
-    """Fit the contours of a slice; without any, the value says so and is no error."""
+def draw_outlines(piece: Slice, *, exact: Exact = Exact.AUTO, solid: bool = True) -> SliceOutlines:
+    """Fit the contours of a slice; without any, the value says so and is no error.
+
+    Parameters
+    ----------
+    solid
+        As in `fitted_sections.draw_fitted_section`.
+    """
     try:
         planar = piece.frame.to_plane(piece.points_mm)
         found = resolve_section(
             np.ascontiguousarray(planar[:, :2]),
             exact=exact,
             heights_mm=np.ascontiguousarray(planar[:, 2]),
-            solid=True,
+            solid=solid,
         )
     except TooFewPoints as few:
         lost = len(piece.points_mm)
         return SliceOutlines(
-            piece.index, piece.frame, (), (), lost, 0, (str(few),), _grains(piece.points_mm, ())
+            piece.index,
+            piece.frame,
+            (),
+            (),
+            lost,
+            0,
+            (str(few),),
+            grains=_grains(piece.points_mm, ()),
         )
     drawn = [
         outline_of(piece.index, piece.frame, curve, hole=curve.closed and depth % 2 == 1)
@@ -85,7 +99,8 @@ def draw_outlines(piece: Slice, *, exact: Exact = Exact.AUTO) -> SliceOutlines:
         tuple(each for each in drawn if not each.fitted.closed),
         len(found.strays),
         len(found.unordered),
-        _notes(found),
+        tuple(f"a chain gave no curve: {why}" for why in found.failures),
+        _undecided(found),
         _grains(piece.points_mm, found.curves),
     )
 
@@ -101,10 +116,10 @@ def _grains(points_mm: FloatArray, curves: Sequence[FittedCurve]) -> Grains:
     return Grains(cells.centres_mm, cells.counts.astype(np.float64))
 
 
-def _notes(found: SectionFit) -> tuple[str, ...]:
-    notes = [f"a chain gave no curve: {why}" for why in found.failures]
-    for curve, chain in zip(found.curves, found.chains, strict=True):
-        if curve.ambiguous:
-            taken = "closed" if curve.closed else "open"
-            notes.append(f"a contour {chain.length_mm:.3g} mm long may be closed or open: {taken}")
-    return tuple(notes)
+def _undecided(found: SectionFit) -> tuple[str, ...]:
+    return tuple(
+        f"a contour {chain.length_mm:.3g} mm long may be closed or open:"
+        f" {'closed' if curve.closed else 'open'}"
+        for curve, chain in zip(found.curves, found.chains, strict=True)
+        if curve.ambiguous
+    )

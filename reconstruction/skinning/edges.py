@@ -35,11 +35,15 @@ def joined(
         joint[net.apex] = 0.0
         shifts.append(joint - moves_mm[[before, behind]][..., None] * pair)
     moved = np.array(shifts)  # (c, 2, nv, 3), along the face before it and the one behind
-    borders = [*net.crease_columns, net.crease_columns[0] + len(control)]
-    ahead = np.roll(moved, -1, axis=0)
-    for face, ((_, first), (last, _)) in enumerate(pairwise(borders)):
-        columns = np.arange(first, last + 1)
-        _stretch(net, control, columns, moved[face, 1], ahead[face, 0])
+    still = np.zeros(control.shape[1:])
+    if net.closed_u:  # the last face goes on to the first crease
+        borders = [*net.crease_columns, net.crease_columns[0] + len(control)]
+        starts, ends = [*moved[:, 1]], [*np.roll(moved, -1, axis=0)[:, 0]]
+    else:  # the first and the last face end in a border
+        borders = [(-1, 0), *net.crease_columns, (len(control) - 1, len(control))]
+        starts, ends = [still, *moved[:, 1]], [*moved[:, 0], still]
+    for ((_, first), (last, _)), start, end in zip(pairwise(borders), starts, ends, strict=True):
+        _stretch(net, control, np.arange(first, last + 1), start, end)
     for before, behind in net.crease_columns:  # but for rounding they are one already
         control[behind] = control[before]
     return control

@@ -69,27 +69,50 @@ def ended(branch: Branch, shape: Shape, levels: Levels) -> Ended | None:
     whose top no profile of slices tells, and a leaning surface of revolution where branches meet,
     whose end is level only if it does not lean.
     """
-    form, axes = shape.form, branch.outlines[0].frame.axes
+    form = shape.form
     loop = isinstance(form, Revolution) and form.closed
     if isinstance(form, Plane) or is_ring_ended(branch) or loop != (branch.ends is None):
         return None
     if len({outline.hole for outline in branch.outlines}) > 1 and not loop:
         return None
+    if branch.ends is None:
+        return ended_at(branch, shape, None)
     try:
-        if branch.ends is None:
-            heights, brims = (-math.inf, math.inf), None
-        else:
-            brims = (
-                _end(branch, shape, levels, last=False),
-                _end(branch, shape, levels, last=True),
-            )
-            heights = (_height(brims[0], last=False), _height(brims[1], last=True))
+        low, high = (_end(branch, shape, levels, last=last) for last in (False, True))
+    except Unfittable:
+        return None
+    return ended_at(branch, shape, (low, high))
+
+
+def ended_at(branch: Branch, shape: Shape, brims: Ends | None) -> Ended | None:
+    """The surface of a shape between ends that are known; None where it cannot end so."""
+    heights = (-math.inf, math.inf)
+    if brims is not None:
+        heights = (_height(brims[0], last=False), _height(brims[1], last=True))
+    try:
         surface = surface_of(
-            form, heights, axes[0], along=axes[2], places_mm=shape.moments.means_mm
-        )
+            shape.form, heights, branch.axes[0], along=branch.axes[2],
+            places_mm=shape.moments.means_mm,
+        )  # fmt: skip
     except Unfittable:
         return None
     return Ended(surface, brims) if _ends_so(surface, brims) else None
+
+
+def ended_as(branch: Branch, shape: Shape, brims: Ends) -> Ended | None:
+    """The same for meridians, which have seen where they end: poles go where the shape has its own.
+
+    A surface of revolution is not ended in a pole: its profile says nothing beyond its points.
+    """
+    form, found = shape.form, []
+    if isinstance(form, Plane):
+        return None
+    for last, brim in zip((False, True), brims, strict=True):
+        tip = _tip(shape, branch.axes[2], last=last) if isinstance(brim, Apex) else None
+        if isinstance(brim, Apex) and tip is None:
+            return None
+        found.append(brim if tip is None else Apex(tip, sharp=isinstance(form, Cone)))
+    return ended_at(branch, shape, (found[0], found[1]))
 
 
 def _end(branch: Branch, shape: Shape, levels: Levels, *, last: bool) -> Brim | Apex:
@@ -141,7 +164,7 @@ def _tip(shape: Shape, axis: FloatArray, *, last: bool) -> FloatArray | None:
 
 
 def _axis(branch: Branch) -> FloatArray:
-    return np.asarray(branch.outlines[0].frame.axes[2])
+    return np.asarray(branch.axes[2])
 
 
 def _height(brim: Brim | Apex, *, last: bool) -> float:

@@ -21,7 +21,7 @@ from reconstruction.arrays import BoolArray, FloatArray, IntArray
 from reconstruction.nurbs import Surface, evaluate_surface_at
 from reconstruction.skinning.branch import Branch
 from reconstruction.skinning.ends import Apex, Brim
-from reconstruction.skinning.exact_ends import Levels, ended
+from reconstruction.skinning.exact_ends import Levels, ended, ended_as
 from reconstruction.skinning.exact_shapes import Shape
 from reconstruction.skinning.noise import Noise
 from reconstruction.skinning.outlines import Moments
@@ -33,8 +33,6 @@ from reconstruction.skinning.unseen import lies_in, unseen_bands
 
 _ROUNDS = 2  # of shape and noise, one after the other
 _REACH = 6.0  # standard deviations: a loose cell nearer than that may be the shape's
-_BOXES = 64
-_CELLS_A_BOX = 4  # on average, as in `skin`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +44,12 @@ class ExactSkin:
     shape: Shape
     surface: Surface  # rational, u counter-clockwise about the axis, v up
     noise: Noise  # the scatter of a point about it
+    seen: tuple[bool, bool] = (False, False)  # as in `Skin`
+
+    @property
+    def open(self) -> bool:
+        """Never: as in `Skin`."""
+        return False
 
     def deviation_mm(self, u: FloatArray, v: FloatArray) -> FloatArray:
         """Standard deviation across the surface at (m,), (m,)."""
@@ -56,7 +60,7 @@ class ExactSkin:
         places = evaluate_surface_at(self.surface, np.ravel(u), np.ravel(v))
         counts = self.support
         column, row = self._boxes(places, counts.shape)
-        heights = places @ self.branch.outlines[0].frame.axes[2]
+        heights = places @ self.branch.axes[2]
         missing = lies_in(heights, self.unseen)
         return np.asarray((counts[column, row] == 0) | missing).reshape(np.shape(u))
 
@@ -69,10 +73,9 @@ class ExactSkin:
     def support(self) -> IntArray:
         """Cells in each box of a lattice around the axis and along, a gap's width apart."""
         places = self.shape.moments.means_mm
-        rows = min(max(len(self.branch.outlines) // 2, 1), _BOXES)
-        columns = min(max(len(places) // (_CELLS_A_BOX * rows), 8), _BOXES)
-        counts = np.zeros((columns, rows), np.int64)
-        np.add.at(counts, self._boxes(places, (columns, rows)), 1)
+        shape = self.branch.boxes(len(places))
+        counts = np.zeros(shape, np.int64)
+        np.add.at(counts, self._boxes(places, shape), 1)
         return counts
 
     def _boxes(self, places: FloatArray, shape: tuple[int, ...]) -> tuple[IntArray, IntArray]:
@@ -84,7 +87,7 @@ class ExactSkin:
 
     def _chart(self, places: FloatArray) -> FloatArray:
         """Angle about the axis, and height along the stack; on a loop, the way along it."""
-        form, axes = self.shape.form, self.branch.outlines[0].frame.axes
+        form, axes = self.shape.form, self.branch.axes
         if isinstance(form, Revolution) and form.closed:
             return form.chart(places)
         if isinstance(form, Sphere):
@@ -97,7 +100,7 @@ class ExactSkin:
         form = self.shape.form
         if isinstance(form, Revolution) and form.closed:
             return 0.0, float(len(form.control_mm))
-        heights = self.surface.control_points_mm @ self.branch.outlines[0].frame.axes[2]
+        heights = self.surface.control_points_mm @ self.branch.axes[2]
         return float(heights.min()), float(heights.max())
 
 
@@ -128,17 +131,32 @@ def exact_skin(branch: Branch, loose: Moments | None, levels: Levels) -> ExactSk
 
 def exact_in_place_of(skin: Skin, levels: Levels) -> ExactSkin | None:
     """The exact skin that the cells of a branch prefer to its free surface; None: they do not."""
+    shape = _preferred(skin)
+    return None if shape is None else _skinned(skin.branch, shape, skin.noise, levels)
+
+
+def exact_of_meridians(skin: Skin) -> ExactSkin | None:
+    """The same where meridians go all round an axis."""
+    if skin.open or skin.brims is None:
+        return None
+    shape = _preferred(skin)
+    found = None if shape is None else ended_as(skin.branch, shape, skin.brims)
+    if shape is None or found is None:
+        return None
+    return ExactSkin(skin.branch, found.brims, shape, found.surface, skin.noise, skin.seen)
+
+
+def _preferred(skin: Skin) -> Shape | None:
     fit, moments = skin.fit, skin.moments
     variances = fit.noise.across(fit.feet.normals)
     misfit = misfit_of(
         moments, fit.feet.distances_mm, fit.feet.scatters_mm2, variances,
         inflation=fit.noise.inflation, weights=fit.weights,
     )  # fmt: skip
-    shape = recognised(
+    return recognised(
         moments, variances, free_misfit=misfit, free_edf=fit.edf, inflation=fit.noise.inflation,
         weights=fit.weights, noise_covariance_mm2=fit.noise.covariance_mm2,
     )  # fmt: skip
-    return None if shape is None else _skinned(skin.branch, shape, fit.noise, levels)
 
 
 def _skinned(branch: Branch, shape: Shape, noise: Noise, levels: Levels) -> ExactSkin | None:

@@ -20,6 +20,7 @@ from reconstruction.skinning.net import Net, derivatives_at
 from reconstruction.skinning.outlines import Moments
 
 _BEFORE = 1e-6  # a crease
+_BESIDE = 0.25  # spans beside a wall
 _A_SPAN = 3  # places of the net a span, to look for the nearest
 
 
@@ -77,7 +78,8 @@ def _faces(net: Net, u: FloatArray) -> tuple[FloatArray, FloatArray]:
     creases, end_u = net.creases.astype(np.float64), net.spans[0]
     if not len(creases):
         return np.full(len(u), -np.inf), np.full(len(u), np.inf)
-    around = np.concatenate([[creases[-1] - end_u], creases, [creases[0] + end_u]])
+    ends = (creases[-1] - end_u, creases[0] + end_u) if net.closed_u else (-np.inf, np.inf)
+    around = np.concatenate([ends[:1], creases, ends[1:]])
     face = np.searchsorted(creases, u, "right")
     return around[face], around[face + 1] - _BEFORE
 
@@ -96,6 +98,27 @@ def nearby(net: Net, cells: Moments, reach_mm: float) -> tuple[Moments, FloatArr
     near = np.linalg.norm(arms, axis=1) <= reach_mm
     kept = Moments(cells.counts[near], cells.means_mm[near], cells.covariances_mm2[near])
     return kept, feet.u[near], feet.v[near]
+
+
+def off_the_walls(net: Net, cells: Moments, u: FloatArray, v: FloatArray) -> FloatArray:
+    """Rough foot points u (m,) with those on a step's wall, which nobody has seen, beside it.
+
+    Of an open net; its creases are the edges of such walls, two and two.
+    """
+    if net.closed_u or not len(net.creases):
+        return u
+    moved = np.array(u)
+    for low, high in net.creases.reshape(-1, 2).astype(np.float64):
+        on = np.flatnonzero((u > low - _BEFORE) & (u < high))
+        away = [
+            np.linalg.norm(
+                cells.means_mm[on] - derivatives_at(net, np.full(len(on), edge), v[on])[:, 0],
+                axis=1,
+            )
+            for edge in (low, high)
+        ]
+        moved[on] = np.where(away[0] < away[1], low - _BESIDE, high + _BESIDE)
+    return moved
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -14,7 +14,6 @@ from threadpoolctl import threadpool_limits
 from reconstruction.arrays import FloatArray
 from reconstruction.nurbs import evaluate_surface
 from reconstruction.skinning.feet import nearby
-from reconstruction.skinning.laying import Laid
 from reconstruction.skinning.merging import Cells, merged_for
 from reconstruction.skinning.net import Net, derivatives_at
 from reconstruction.skinning.noise import Noise
@@ -76,11 +75,8 @@ def _lines(net: Net) -> FloatArray:
     return np.asarray(evaluate_surface(net.surface(), u, v).swapaxes(0, 1))
 
 
-def interpolating(
-    laid: Laid, cells: Cells, noise: Noise, rims: tuple[Rim, Rim]
-) -> TensorFit | None:
+def interpolating(net: Net, cells: Cells, noise: Noise, rims: tuple[Rim, Rim]) -> TensorFit | None:
     """A laid net as it is, with what its cells say of it; None if they are too few."""
-    net = laid.net
     lattice, merged = Lattice.over(net), merged_for(net, cells)
     logs = log_stiffness(net, cells, noise)
     stiffness = np.full(lattice.count, logs[0]), np.full(lattice.count, logs[1])

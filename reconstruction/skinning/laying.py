@@ -13,6 +13,7 @@ on beyond the first and the last outline as far as the ends are said to lie.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -30,6 +31,7 @@ _FINE = 4  # places a span when lengths are told anew
 _AROUND = 64  # lines along which they are
 _FAINT = 1e-6
 _NEXT_TO_NOTHING = 1e-8
+_NONE = np.empty(0, np.int64)
 _FIRM = 1e3  # weight of an end's own row
 
 
@@ -70,7 +72,10 @@ def lay_net(
     else:
         rows, places = _open_rows(stations, brims, spans[1])
     creases = np.array(stations.creases, dtype=np.int64) * spans[0] // columns
-    net = _net(places, rows, spans, brims, creases, through=through)
+    along = np.arange(columns) / columns * spans[0]
+    net = net_through(
+        places, rows, along, spans, brims, creases, closed=(True, brims is None), through=through
+    )
     own = rows if brims is None else rows[1:-1]
     u = np.concatenate(stations.columns_of_cells()) * (spans[0] / columns)
     v = np.concatenate(_rows_of_cells(outlines, own, spans[1], closed=brims is None))
@@ -87,7 +92,7 @@ def relaid(net: Net, v: FloatArray) -> tuple[Net, FloatArray]:
     fine = np.linspace(0.0, end_v, _FINE * int(end_v) + 1)
     columns = np.arange(_AROUND) / _AROUND * end_u
     places = evaluate_surface(net.surface(), columns, fine).swapaxes(0, 1)
-    along = np.concatenate([[0.0], _strides(places).cumsum()])
+    along = np.concatenate([[0.0], strides(places).cumsum()])
     along *= end_v / along[-1]
     along[-1] = end_v  # exactly
     wanted = np.linspace(0.0, end_v, _FINE * int(end_v) + 1)
@@ -106,7 +111,7 @@ def relaid(net: Net, v: FloatArray) -> tuple[Net, FloatArray]:
     return net.moved(control), np.asarray(np.interp(v, fine, along))
 
 
-def _strides(places: FloatArray) -> FloatArray:
+def strides(places: FloatArray) -> FloatArray:
     """Root mean square distance from row to row, (k - 1,)."""
     steps = np.linalg.norm(np.diff(places, axis=0), axis=2)
     return np.asarray(np.sqrt((steps**2).mean(axis=1)))
@@ -118,7 +123,7 @@ def _open_rows(
     """V of every row, an end's row at either end, and the rows' places."""
     low, high = (brim.row_mm(stations.places_mm, last=last) for last, brim in enumerate(brims))
     places = np.concatenate([low[None], stations.places_mm, high[None]])
-    along = np.concatenate([[0.0], _strides(places).cumsum()])
+    along = np.concatenate([[0.0], strides(places).cumsum()])
     return along / along[-1] * spans, places
 
 
@@ -126,40 +131,54 @@ def _closing_rows(stations: Stations, spans: int) -> tuple[FloatArray, FloatArra
     """The same where the last row is followed by the first."""
     places = stations.places_mm
     around = np.concatenate([places, places[:1]])
-    along = np.concatenate([[0.0], _strides(around).cumsum()])
+    along = np.concatenate([[0.0], strides(around).cumsum()])
     return along[:-1] / along[-1] * spans, places
 
 
-def _net(
+def net_through(
     places: FloatArray,
     rows: FloatArray,
+    columns: FloatArray,
     spans: tuple[int, int],
-    brims: tuple[Brim | Apex, Brim | Apex] | None,
-    creases: IntArray,
+    ends: Sequence[Brim | Apex] | None,
+    creases: IntArray = _NONE,
     *,
-    through: bool,
+    closed: tuple[bool, bool],
+    through: bool = False,
 ) -> Net:
-    """Control points by penalised least squares, first around, then along."""
-    knots_u = knots_of(spans[0], closed=True, creases=creases)
-    knots_v = knots_of(spans[1], closed=brims is None)
-    columns = np.arange(places.shape[1]) / places.shape[1] * spans[0]
-    around = _smoother(columns, knots_u, np.ones(len(columns)), places.swapaxes(0, 1), closed=True)
+    """Control points by penalised least squares, first around, then along.
+
+    Parameters
+    ----------
+    places
+        (k, m, 3), row by row.
+    rows, columns
+        (k,), (m,), their v and u.
+    ends
+        What the first and the last row are; None: places like others.
+    closed
+        In u and v.
+    """
+    knots_u = knots_of(spans[0], closed=closed[0], creases=creases)
+    knots_v = knots_of(spans[1], closed=closed[1])
+    sides = places.swapaxes(0, 1)
+    around = _smoother(columns, knots_u, np.ones(len(columns)), sides, closed=closed[0])
     weights = np.ones(len(rows))
-    if brims is not None:
+    if ends is not None:
         weights[[0, -1]] = _FIRM
     if through:
-        along = _interpolator(rows, knots_v, closed=brims is None)
+        along = _interpolator(rows, knots_v, closed=closed[1])
     else:
-        along = _smoother(rows, knots_v, weights, places, closed=brims is None)
+        along = _smoother(rows, knots_v, weights, places, closed=closed[1])
     control = np.tensordot(around, np.tensordot(along, places, (1, 0)), (1, 1))
     apex = np.zeros(control.shape[1], np.bool_)
-    for last, brim in enumerate(brims or ()):
+    for last, end in enumerate(ends or ()):
         row = -last
-        if isinstance(brim, Apex):
-            apex[row], control[:, row] = True, brim.point_mm
+        if isinstance(end, Apex):
+            apex[row], control[:, row] = True, end.point_mm
         else:
-            brim.press(control[:, row])
-    net = Net(control, knots_u, knots_v, closed_u=True, closed_v=brims is None, apex=apex)
+            end.press(control[:, row])
+    net = Net(control, knots_u, knots_v, closed_u=closed[0], closed_v=closed[1], apex=apex)
     return net.cut_at(creases)
 
 

@@ -38,8 +38,6 @@ _SPANS_A_ROW = 2  # of a spline through few outlines
 _STATIONS_A_SPAN = 3
 _LEAST_STATIONS = 96
 _REACH = 6.0  # standard deviations from the first net: loose cells farther off are not its
-_BOXES = 64
-_CELLS_A_BOX = 4  # on average: by chance hardly one is empty
 _NEAR_END = 4  # outlines
 _FEWEST = 8  # outlines
 _WILD = 4.0  # times as far as those nearby from the middle between its neighbours
@@ -52,15 +50,21 @@ class Skin:
     """A branch and the surface fitted to it."""
 
     branch: Branch
-    brims: tuple[Brim | Apex, Brim | Apex] | None  # None: it closes in v
-    laid: Laid
-    stations: Stations
+    brims: tuple[Brim | Apex, Brim | Apex] | None  # None: it closes in v, or is open
     fit: TensorFit
+    stations: Stations | None = None  # of closed outlines
+    seen: tuple[bool, bool] = (False, False)  # whether points reach a pointed end
 
     @property
     def moments(self) -> Moments:
         """The cells that the surface was fitted to, those of `fit.feet`."""
         return self.fit.moments
+
+    @property
+    def open(self) -> bool:
+        """Whether it has borders, so that it encloses nothing."""
+        net = self.fit.net
+        return not net.closed_u or (self.brims is None and not net.closed_v)
 
     @property
     def shape(self) -> None:
@@ -91,7 +95,7 @@ class Skin:
     @property
     def apex_deviations_mm(self) -> tuple[float, float]:
         """Posterior standard deviation of an apex's height, of either end; nan without one."""
-        net, axis = self.fit.net, self.branch.outlines[0].frame.axes[2]
+        net, axis = self.fit.net, self.branch.axes[2]
         found = [math.nan, math.nan]
         for last in (0, 1):
             if not net.apex[-last]:
@@ -112,18 +116,23 @@ class Skin:
         column = np.minimum((u / end_u * counts.shape[0]).astype(np.int64), counts.shape[0] - 1)
         row = np.minimum((v / end_v * counts.shape[1]).astype(np.int64), counts.shape[1] - 1)
         places = evaluate_surface_at(self.surface, np.ravel(u), np.ravel(v))
-        heights = (places @ self.branch.outlines[0].frame.axes[2]).reshape(np.shape(u))
+        heights = (places @ self.branch.axes[2]).reshape(np.shape(u))
         missing = lies_in(heights, unseen_bands(self.branch, self.moments))
-        return np.asarray((counts[column, row] == 0) | missing)
+        return np.asarray((counts[column, row] == 0) | missing | self._in_walls(u))
+
+    def _in_walls(self, u: FloatArray) -> BoolArray:
+        """Whether parameters lie in the walls of steps across stripes, which no slice sees."""
+        creases = self.fit.net.creases
+        if self.fit.net.closed_u or not len(creases):
+            return np.zeros(np.shape(u), np.bool_)
+        return np.asarray((np.searchsorted(creases, u) % 2 == 1) & ~np.isin(u, creases))
 
     @property
     def support(self) -> IntArray:
         """Cells beside each box of a lattice over (u, v), a gap's width apart."""
         end_u, end_v = self.fit.net.spans
         held = self.fit.weights > 0.0
-        rows = min(max(len(self.branch.outlines) // 2, 1), _BOXES)
-        columns = min(max(int(held.sum()) // (_CELLS_A_BOX * rows), 8), _BOXES)
-        shape = (columns, rows)
+        shape = self.branch.boxes(int(held.sum()))
         feet = self.fit.feet
         counts = np.zeros(shape, np.int64)
         column = np.minimum((feet.u[held] / end_u * shape[0]).astype(np.int64), shape[0] - 1)
@@ -173,15 +182,15 @@ def _skin(branch: Branch, stations: Stations, loose: Moments, creases: FloatArra
 def _fitted_skin(branch: Branch, stations: Stations, loose: Moments, creases: FloatArray) -> Skin:
     """A fit: few spans to begin with, where they may do."""
     spans = (_spans_around(branch), _spans_along(branch))
-    halvings = (
-        _halvings(spans[0], _LEAST_SPANS_U, _WIDE_SPANS_U),
-        _halvings(spans[1], _LEAST_SPANS_V, _WIDE_SPANS_V),
+    times = (
+        halvings(spans[0], _LEAST_SPANS_U, _WIDE_SPANS_U),
+        halvings(spans[1], _LEAST_SPANS_V, _WIDE_SPANS_V),
     )
-    if any(halvings):
-        wide = (-(-spans[0] // 2 ** halvings[0]), -(-spans[1] // 2 ** halvings[1]))
+    if any(times):
+        wide = (-(-spans[0] // 2 ** times[0]), -(-spans[1] // 2 ** times[1]))
         try:
             laid = _between(branch, stations, creases, wide[0])
-            return _fitted(branch, laid, loose, wide, halvings)
+            return _fitted(branch, laid, loose, wide, times)
         except Unfittable:  # too wide to find the points: narrow from the beginning
             pass
     laid = _between(branch, stations, creases, spans[0])
@@ -207,8 +216,8 @@ def _fitted(
     brims, noise = brims_of(branch), noise_of(branch)
     laid = lay_net(branch.outlines, stations, brims, (stations.spans or spans[0], spans[1]))
     cells = _cells(branch, laid, loose, noise)
-    fit = fit_net(laid.net, cells, noise, rims=_rims(brims), halvings=halvings)
-    return Skin(branch, brims, laid, stations, fit)
+    fit = fit_net(laid.net, cells, noise, rims=rims_of(brims), halvings=halvings)
+    return Skin(branch, brims, fit, stations)
 
 
 def _through(
@@ -222,8 +231,8 @@ def _through(
     brims, noise = brims_of(branch), noise_of(branch)
     spans = (stations.spans or spans[0], spans[1])
     laid = lay_net(branch.outlines, stations, brims, spans, through=True)
-    fit = interpolating(laid, _cells(branch, laid, loose, noise), noise, _rims(brims))
-    return None if fit is None else Skin(branch, brims, laid, stations, fit)
+    fit = interpolating(laid.net, _cells(branch, laid, loose, noise), noise, rims_of(brims))
+    return None if fit is None else Skin(branch, brims, fit, stations)
 
 
 def _cells(branch: Branch, laid: Laid, loose: Moments, noise: Noise) -> Cells:
@@ -252,7 +261,7 @@ def _aligned(branch: Branch) -> tuple[Branch, Stations, list[Moments]]:
         stations = align(branch.outlines, count, cyclic=branch.cyclic)
         if len(branch.outlines) <= _FEWEST:
             return branch, stations, wild
-        worst = _standing_out(stations, cyclic=branch.cyclic)
+        worst = standing_out(stations.places_mm, cyclic=branch.cyclic)
         if worst is None:
             return branch, stations, wild
         wild.append(branch.outlines[worst].moments)
@@ -260,9 +269,8 @@ def _aligned(branch: Branch) -> tuple[Branch, Stations, list[Moments]]:
         branch = replace(branch, outlines=kept)
 
 
-def _standing_out(stations: Stations, *, cyclic: bool) -> int | None:
-    """The outline farthest from where its neighbours would have it, if that is far."""
-    places = stations.places_mm
+def standing_out(places: FloatArray, *, cyclic: bool) -> int | None:
+    """Which of rows (k, m, 3) is farthest from where its neighbours would have it, if far."""
     strides = np.linalg.norm(places - np.roll(places, 1, axis=0), axis=2)
     below = np.sqrt((strides**2).mean(axis=1)) + 1e-300
     above = np.roll(below, -1)
@@ -294,7 +302,7 @@ def _spans_along(branch: Branch) -> int:
     return int(min(max(0.75 * len(branch.outlines), _LEAST_SPANS_V), _MOST_SPANS_V))
 
 
-def _halvings(spans: int, least: int, wide: int) -> int:
+def halvings(spans: int, least: int, wide: int) -> int:
     """How often spans to begin with are doubled: at least once, if that leaves enough of them."""
     times = 0
     while spans >= 2 ** (times + 1) * least and (times == 0 or spans > 2**times * wide):
@@ -313,7 +321,8 @@ def brims_of(branch: Branch) -> tuple[Brim | Apex, Brim | Apex] | None:
     )
 
 
-def _rims(brims: tuple[Brim | Apex, Brim | Apex] | None) -> tuple[Rim, Rim]:
+def rims_of(brims: tuple[Brim | Apex, Brim | Apex] | None) -> tuple[Rim, Rim]:
+    """What the first and the last row of a net must keep."""
     if brims is None:
         return FREE
     low, high = (
@@ -329,5 +338,5 @@ def noise_of(branch: Branch) -> Noise:
     inflation = float(np.median([outline.fitted.inflation for outline in branch.outlines]))
     size = max(float(np.ptp(outline.moments.means_mm, axis=0).max()) for outline in branch.outlines)
     variance = max(sigma, _EXACT * size) ** 2
-    axis = branch.outlines[0].frame.axes[2]
+    axis = branch.axes[2]
     return Noise(variance, variance, axis, max(inflation, 1.0))

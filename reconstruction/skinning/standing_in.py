@@ -109,6 +109,7 @@ def _jumps(skin: AnySkin) -> list[int]:
     """
     if not isinstance(skin, Skin):
         return []
+    assert skin.stations is not None, "a skin of closed outlines"
     steps = np.linalg.norm(np.diff(skin.stations.places_mm, axis=0), axis=2)
     if len(steps) <= 2 * _NEAR_END:
         return []

@@ -1,8 +1,10 @@
-"""All slices of a scan to one solid: branches, a surface each, closed, joined.
+"""All slices of a scan to one solid, or to one open surface.
 
 outlines of every slice -> branches -> a surface each -> closed meshes -> one watertight solid
            `drawing`       `branching`    `skin`          `closing`       `joining`
                                        or `exact_skins`
+open sections of every slice -> one surface -> its mesh, closed if it goes all round
+                       `sheets`
 """
 
 from __future__ import annotations
@@ -13,25 +15,30 @@ from dataclasses import dataclass
 import numpy as np
 
 from reconstruction.arrays import FloatArray
+from reconstruction.errors import NotLoftable
 from reconstruction.fitting.curve import Exact
 from reconstruction.meshing import Mesh
 from reconstruction.skinning.beyond import seen_beyond
 from reconstruction.skinning.branch import Branch
 from reconstruction.skinning.branching import Branching, find_branches
-from reconstruction.skinning.closing import affordable_mm, closed_mesh
+from reconstruction.skinning.closing import affordable_mm, closed_mesh, open_mesh
+from reconstruction.skinning.doubt import Doubt
 from reconstruction.skinning.drawing import SliceOutlines
 from reconstruction.skinning.exact_ends import Levels
 from reconstruction.skinning.exact_shapes import Shape
 from reconstruction.skinning.exact_skins import (
     AnySkin,
     exact_in_place_of,
+    exact_of_meridians,
     exact_skin,
 )
 from reconstruction.skinning.folding import fold
 from reconstruction.skinning.joining import join_solids
+from reconstruction.skinning.layout import Layout, fan_of, layout_of
 from reconstruction.skinning.outlines import Moments, Outline, lifted
 from reconstruction.skinning.primitives import Cone, Cylinder
-from reconstruction.skinning.skin import skin_branch
+from reconstruction.skinning.sheets import Sheet, fit_meridians, fit_stripes
+from reconstruction.skinning.skin import Skin, skin_branch
 from reconstruction.skinning.standing_in import Nurbs, part_of
 
 _THICK = 2.0  # times the usual scatter
@@ -48,9 +55,15 @@ class Skinned:
 
     branching: Branching
     skins: tuple[AnySkin, ...]  # one a branch, from the outside in
-    mesh: Mesh  # watertight
+    mesh: Mesh  # watertight, unless the surface is open
     tolerance_mm: float  # between mesh and surfaces
     wrapping: str = ""  # why the mesh is not that of the skins, but one around all points
+    layout: Layout = Layout.RINGS
+
+    @property
+    def open(self) -> bool:
+        """Whether the surface has borders and encloses nothing."""
+        return any(skin.open for skin in self.skins)
 
     @property
     def shown(self) -> tuple[AnySkin, ...]:
@@ -69,11 +82,16 @@ def skin_slices(
     tolerance_mm: float | None = None,
     exact: Exact = Exact.AUTO,
     nurbs: Nurbs = Nurbs.AUTO,
+    layout: Layout = Layout.AUTO,
 ) -> Skinned:
     """Fit, close and join the surfaces of slices, given in any order.
 
+    Sections that are open, in parallel planes or about an axis, are given one surface.
+
     Parameters
     ----------
+    layout
+        What the slices are sections of; by default as they show themselves.
     tolerance_mm
         Between mesh and surfaces; by default a share of the scatter of the points, less where a
         surface is exact.
@@ -86,7 +104,53 @@ def skin_slices(
     ------
     NotLoftable
         Fewer than two slices with outlines, or none that follow each other.
+    Unfittable
+        Open sections whose points do not hold a surface.
     """
+    found = layout_of(slices, layout)
+    if found is Layout.RINGS:
+        return _skin_rings(slices, tolerance_mm=tolerance_mm, exact=exact, nurbs=nurbs)
+    sheet = _sheet(slices, found)
+    skin = _exact_in_place_of(sheet.skin) if exact is Exact.AUTO else sheet.skin
+    chord = tolerance_mm or affordable_mm(skin, _chord(skin, (skin,)))
+    if isinstance(skin, Skin) and skin.open:
+        mesh = open_mesh(skin, chord)
+    else:
+        mesh = closed_mesh(skin, chord)
+    left_out = tuple(outline for piece in slices for outline in piece.outlines)
+    doubts = [Doubt(each, "stands out from both neighbours: left out") for each in sheet.wild]
+    doubts += [
+        Doubt(each.slice_index, "a closed contour among open sections: left out")
+        for each in left_out
+    ]
+    branching = Branching((skin.branch,), (), tuple(doubts), left_out)
+    return Skinned(branching, (skin,), mesh, chord, layout=found)
+
+
+def _sheet(slices: Sequence[SliceOutlines], layout: Layout) -> Sheet:
+    """The one surface of stripes or meridians."""
+    fan = fan_of([piece.frame for piece in slices])
+    if layout is Layout.STRIPES:
+        if fan is not None:
+            raise NotLoftable("the slices' planes are not parallel: they are meridians, no stripes")
+        return fit_stripes(sorted(slices, key=lambda each: each.height_mm))
+    if fan is None:
+        raise NotLoftable("the slices' planes are parallel: they are no meridians about an axis")
+    return fit_meridians(slices, fan)
+
+
+def _exact_in_place_of(skin: Skin) -> AnySkin:
+    return exact_of_meridians(skin) or skin
+
+
+def _skin_rings(
+    slices: Sequence[SliceOutlines],
+    *,
+    tolerance_mm: float | None,
+    exact: Exact,
+    nurbs: Nurbs,
+) -> Skinned:
+    """Branches, a surface each, joined."""
     stack = sorted(slices, key=lambda each: each.height_mm)
     heights = np.array([each.height_mm for each in stack])
     thick = _thick(stack)

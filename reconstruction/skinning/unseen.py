@@ -20,7 +20,7 @@ def unseen_bands(branch: Branch, used: Moments) -> FloatArray:
     used
         Cells of its surface, those that are on none of its outlines, too.
     """
-    axis = branch.outlines[0].frame.axes[2]
+    axis = branch.axes[2]
     every = [*(outline.moments for outline in branch.outlines), used]
     seen = np.sort(np.concatenate([each.means_mm @ axis for each in every]))
     missing = np.flatnonzero(np.diff(seen) > _MISSING * branch.pitch_mm)
