@@ -1,8 +1,9 @@
 """Stray clusters and the table plate: found in a coarse grid, set aside, never deleted in silence.
 
 The cloud is counted into boxes. Boxes that touch make a cluster; a cluster with fewer than 1 % of
-the points of the largest one is stray, as is everything far outside the part's core. The plate is
-a layer at the very bottom that sticks out beyond what stands on it.
+the points of the largest one is stray, as is everything far outside the part's core; but the last
+outlines of a dome stand apart from those below, and are the part. The plate is a layer at the very
+bottom that sticks out beyond what stands on it.
 """
 
 from __future__ import annotations
@@ -23,6 +24,9 @@ _FINEST = 128  # boxes along the longest side
 _POINTS_A_BOX = 4.0  # a surface is connected when a typical point shares its box with this many
 _STRAY_SHARE = 0.01
 _MOST_STRAY = 0.05  # of all points: if more look stray, the grid is too fine, not the cloud bad
+_FEWEST = 8  # points in a layer: fewer are no outline of a dome
+_BESIDE = 3  # layers that together enclose what lies above or below: each may have gaps
+_BRIDGED = 3  # boxes: half an opening of an outline, whose points are sparse
 _PLATE_OVERHANG = 1.15  # how much wider than the part the plate must be, in both directions
 _PLATE_FULL = 2.0  # and how many times more boxes than a typical layer it must fill
 _PLATE_AREA = 0.35  # and how much of its own rectangle: a ring of points is no plate
@@ -67,7 +71,7 @@ def find_part(points: Pass, survey: Survey, axis: Axis) -> Keep:
             break
         counts, edge = _halve(counts), 2.0 * edge
         boxes = _large_clusters(counts)
-    return Keep(corner, edge, boxes, plate_top)
+    return Keep(corner, edge, _with_domes(boxes, counts, axis), plate_top)
 
 
 def _count_boxes(points: Pass, core: Box) -> tuple[IntArray, FloatArray, float]:
@@ -118,6 +122,37 @@ def _large_clusters(counts: IntArray) -> BoolArray:
     large = sizes >= max(2.0, _STRAY_SHARE * sizes.max())
     large[0] = False
     return np.asarray(large[labels])
+
+
+def _with_domes(boxes: BoolArray, counts: IntArray, axis: Axis) -> BoolArray:
+    """Add outlines that lie within those of the layers on one side, and of no layer on the other.
+
+    What lies within outlines on both sides is stray inside of the part.
+    """
+    if (counts[~boxes] == 0).all():
+        return boxes
+    kept = np.moveaxis(boxes, axis.column, 0).copy()
+    points = np.moveaxis(counts, axis.column, 0)
+    for one_way in (slice(None), slice(None, None, -1)):
+        part, held = kept[one_way], points[one_way]
+        for k in range(1, len(part)):
+            apart = (held[k] > 0) & ~part[k]
+            if not apart.any():
+                continue
+            apart &= _enclosed(part[max(k - _BESIDE, 0) : k])
+            apart &= ~_enclosed(part[k + 1 : k + 1 + _BESIDE])
+            if held[k][apart].sum() >= _FEWEST:
+                part[k] |= apart
+    return np.asarray(np.moveaxis(kept, 0, axis.column))
+
+
+def _enclosed(layers: BoolArray) -> BoolArray:
+    """What layers (k, i, j) hold or enclose together, (i, j); openings are bridged."""
+    held = np.pad(np.asarray(layers.any(axis=0)), _BRIDGED)
+    wide = np.asarray(ndimage.binary_dilation(held, iterations=_BRIDGED))
+    wide = np.asarray(ndimage.binary_fill_holes(wide))
+    narrow = np.asarray(ndimage.binary_erosion(wide, iterations=_BRIDGED))
+    return narrow[_BRIDGED:-_BRIDGED, _BRIDGED:-_BRIDGED]
 
 
 def _find_plate(

@@ -31,8 +31,11 @@ from reconstruction.skinning.mesh_feet import MeshFeet, mesh_feet, vertex_normal
 _FIRST_WAVE = 0.8  # grains: what is shorter, the first stiffness smooths
 _WIDER = 1.25  # than likelihood says: the mesh that h starts from has some of the same noise
 _MOST_WIDER = 4.0  # than the first, and narrower: no one step tells more
+_ALIKE = 3.0  # grains: over which curvature is compared with that of the surroundings
+_BARELY, _LEAST_SEEN = 0.1, 1e-4  # of the usual weight of points around a vertex
 _AROUND = 1.0  # grains, in which the stiffness is alike
 _DRAWN = 4  # surfaces
+_LESSONS = 2
 _ROUNDS = 2  # with the stiffness learnt
 _LEVEL = 0.05  # of the variance in the plane: what is left of it on a level wall
 _EXACT = 1e-3  # of a grain: scatter below it is none
@@ -74,25 +77,52 @@ def draped(
         What is smaller cannot be told: the distance of slices, or of points on the surface.
     """
     laplacian, areas = _laplacian(vertices_mm, faces)
-    moves = np.zeros(len(vertices_mm))
     normals = vertex_normals(vertices_mm, faces)
     rows = _rows(vertices_mm, faces, cloud, grain_mm)
     if not rows.weights.any():
         return vertices_mm
     density = float(rows.weights.sum() / areas.sum())
     stiffness = np.full(len(areas), density * (_FIRST_WAVE * grain_mm) ** 4)
-    factor, step = _solved(rows, _bending(laplacian, areas, stiffness), moves)
-    stiffness = _learnt(rows, laplacian, areas, stiffness, step, factor, grain_mm)
-    bending = _bending(laplacian, areas, stiffness)
+    around = _around(laplacian, areas, grain_mm)
+    seen = _seen(rows, areas, around)
     for turn in range(_ROUNDS + 1):
-        step = np.clip(step, -grain_mm, grain_mm)
-        moves, vertices_mm = moves + step, vertices_mm + step[:, None] * normals
+        excess = _excess(vertices_mm, faces, normals, seen, grain_mm)
+        factor, step = _solved(rows, laplacian, areas, stiffness, excess)
+        if turn < _LESSONS:
+            bends = excess + (laplacian @ step) / areas
+            stiffness = _learnt(rows, laplacian, areas, stiffness, bends, factor, around)
+        vertices_mm = vertices_mm + np.clip(step, -grain_mm, grain_mm)[:, None] * normals
         if turn == _ROUNDS:
             break
         normals = vertex_normals(vertices_mm, faces)
         rows = _rows(vertices_mm, faces, cloud, grain_mm)
-        _, step = _solved(rows, bending, moves)
     return vertices_mm
+
+
+def _around(laplacian: csr_array, areas: FloatArray, grain_mm: float) -> SuperLU:
+    """What smooths over a grain around each vertex, once factorised."""
+    return _factorised(csr_array(diags_array(areas) + (_AROUND * grain_mm) ** 2 * laplacian))
+
+
+def _seen(rows: _Rows, areas: FloatArray, around: SuperLU) -> FloatArray:
+    """How much of what the surface is at vertices (v,) points say: 1 nearly all, 0 nothing."""
+    told = np.asarray(around.solve(np.asarray(rows.design.T @ rows.weights)))
+    share = np.maximum(told, 0.0) / (_BARELY * float(np.median(told)))
+    return np.asarray(np.maximum(share / (1.0 + share), _LEAST_SEEN))
+
+
+def _excess(
+    vertices_mm: FloatArray,
+    faces: IntArray,
+    normals: FloatArray,
+    seen: FloatArray,
+    grain_mm: float,
+) -> FloatArray:
+    """Curvature (v,) beyond that of the surroundings that points have seen, 1/mm."""
+    laplacian, areas = _laplacian(vertices_mm, faces)
+    curvature = np.einsum("vd,vd->v", laplacian @ vertices_mm, normals) / areas
+    wide = csr_array(diags_array(areas * seen) + (_ALIKE * grain_mm) ** 2 * laplacian)
+    return np.asarray(curvature - _factorised(wide).solve(areas * seen * curvature))
 
 
 def _rows(vertices_mm: FloatArray, faces: IntArray, cloud: Cloud, grain_mm: float) -> _Rows:
@@ -135,16 +165,18 @@ def _laplacian(vertices_mm: FloatArray, faces: IntArray) -> tuple[csr_array, Flo
     )
 
 
-def _bending(laplacian: csr_array, areas: FloatArray, stiffness: FloatArray) -> csr_array:
-    return csr_array(laplacian @ diags_array(stiffness / areas) @ laplacian)
-
-
-def _solved(rows: _Rows, bending: csr_array, moves: FloatArray) -> tuple[SuperLU, FloatArray]:
-    """The factor of the system, and the moves (v,) that are still lacking."""
+def _solved(
+    rows: _Rows,
+    laplacian: csr_array,
+    areas: FloatArray,
+    stiffness: FloatArray,
+    excess: FloatArray,
+) -> tuple[SuperLU, FloatArray]:
+    """The factor of the system, and the moves (v,) that it asks for."""
     design = rows.design
-    matrix = design.T @ diags_array(rows.weights) @ design + bending
-    factor = _factorised(matrix)
-    right = design.T @ (rows.weights * rows.rises_mm) - bending @ moves
+    bending = laplacian @ diags_array(stiffness / areas) @ laplacian
+    factor = _factorised(csr_array(design.T @ diags_array(rows.weights) @ design + bending))
+    right = design.T @ (rows.weights * rows.rises_mm) - laplacian @ (stiffness * excess)
     return factor, np.asarray(factor.solve(right))
 
 
@@ -166,9 +198,9 @@ def _learnt(
     laplacian: csr_array,
     areas: FloatArray,
     stiffness: FloatArray,
-    moves: FloatArray,
+    bends: FloatArray,
     factor: SuperLU,
-    grain_mm: float,
+    around: SuperLU,
 ) -> FloatArray:
     """The stiffness (v,) after one step: freedom used up over the bends there are, around each."""
     rng = np.random.default_rng(0)
@@ -177,8 +209,7 @@ def _learnt(
     prior = np.sqrt(stiffness / areas)[:, None] * rng.normal(size=(len(areas), _DRAWN))
     drawn = np.asarray(factor.solve(noise + laplacian @ prior))
     used = design.T @ (weights * ((design @ drawn) ** 2).mean(axis=1))
-    bends = (laplacian @ moves) ** 2 / areas
-    around = _factorised(csr_array(diags_array(areas) + (_AROUND * grain_mm) ** 2 * laplacian))
-    used, bends = (around.solve(areas * around.solve(np.asarray(each))) for each in (used, bends))
-    told = _WIDER**4 * np.maximum(used, _EMPTY) / np.maximum(bends, _EMPTY) / stiffness
+    squares = areas * bends**2
+    used, squares = (areas * around.solve(np.asarray(each)) for each in (used, squares))
+    told = _WIDER**4 * np.maximum(used, _EMPTY) / np.maximum(squares, _EMPTY) / stiffness
     return np.asarray(stiffness * np.clip(told, _MOST_WIDER**-4, _MOST_WIDER**4))

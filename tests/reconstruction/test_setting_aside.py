@@ -141,3 +141,38 @@ def test_rows_that_stand_apart_from_a_densely_scanned_foot_are_the_part() -> Non
         )
     points = np.concatenate(rings)
     assert kept(points, find(points)).all()
+
+
+def dome(*, seed: int, rows: int = 20, row_mm: float = 0.65) -> FloatArray:
+    """A flat paraboloid 80 mm wide, in rows: its last outlines stand 3 to 7 mm apart."""
+    rng = np.random.default_rng(seed)
+    height = (np.arange(rows) + 0.5) * row_mm
+    radius = 40.0 * np.sqrt(1.0 - height / (rows * row_mm))
+    rows_of_points = np.repeat(np.arange(rows), np.round(2.0 * math.pi * radius).astype(int))
+    angle = rng.uniform(0.0, 2.0 * math.pi, len(rows_of_points))
+    around = np.stack([np.cos(angle), np.sin(angle)], axis=1) * radius[rows_of_points, None]
+    around += rng.normal(0.0, 0.3, around.shape)
+    return np.column_stack([around, height[rows_of_points]])
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("lost_share", [0.0, 0.2], ids=["whole", "with gaps"])
+def test_the_last_outlines_of_a_flat_dome_are_the_part(seed: int, lost_share: float) -> None:
+    rng = np.random.default_rng(seed)
+    points = dome(seed=seed)
+    turn = np.arctan2(points[:, 1], points[:, 0])
+    begun = rng.uniform(-math.pi, math.pi, 20)[np.floor(points[:, 2] / 0.65).astype(int)]
+    points = points[np.mod(turn - begun, math.tau) >= lost_share * math.tau]
+    body = cylinder(40.0, seed=seed) - [0.0, 0.0, 60.0]
+    points = np.concatenate([points, np.repeat(body, 3, axis=0)])
+    top = points[:, 2] > 10.0
+    # Single points whose noise takes them out of every outline may be missing.
+    assert kept(points, find(points))[top].mean() > 0.95
+    assert kept(-points, find(-points))[top].mean() > 0.95
+
+
+def test_a_cluster_inside_of_a_dome_is_stray() -> None:
+    points = np.concatenate([dome(seed=1), cylinder(40.0, seed=1) - [0.0, 0.0, 60.0]])
+    cluster = np.random.default_rng(4).normal([0.0, 0.0, -6.0], 0.5, (100, 3))
+    found = kept(np.concatenate([points, cluster]), find(np.concatenate([points, cluster])))
+    assert not found[len(points) :].any()
