@@ -320,3 +320,19 @@ def test_a_bad_cable_shows_in_the_counters(place: Path) -> None:
         assert stage["damaged"] + stage["timeouts"] >= stage["asked"] // 5 - 1
         assert stage["repeated"] >= 5
         assert each["laser"]["counters"]["damaged"] == 0  # type: ignore[index]
+
+
+@pytest.mark.parametrize("role", ["table", "stage", "profiler"])
+def test_a_cable_that_is_pulled_meanwhile_is_told_and_the_rest_is_asked(role: str) -> None:
+    families = STATIONS["serial"]
+    faults = f"unplug-{role}=0,away-ms=60000"
+    with simulate(seed=3, scale=20.0, faults=faults, **families) as station:
+        ran = run("devices", station, "--json", "--times", 3)
+        assert ran.exit_code == 4
+        each = found(ran)
+        assert [r for r in ROLES if not each[r]["ok"]] == [role]
+        trouble = str(each[role]["trouble"])
+        assert re.search(r"^serial://\S+: .*is the cable in\?$", trouble), trouble
+        # Asked again, the port is not there, and its name says so.
+        again = str(found(run("devices", station, "--json"))[role]["trouble"])
+        assert ": no such port; is the cable in?" in again
