@@ -14,10 +14,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 
 from acquisition.axes import stage_maker, table_maker
+from acquisition.errors import GuardLost
 from acquisition.lease import TTL_S, Lease
 from acquisition.ports import check_ports
 from acquisition.profiler_settings import Hokuyo
@@ -33,6 +34,7 @@ from drivers import hokuyo, zaber
 from drivers.addresses import SerialAddress, TcpAddress, UdpAddress, parse_address
 from drivers.axis import Axis
 from drivers.endings import at_last, unless_done
+from drivers.errors import PortBusy
 from drivers.inspection import Counted
 from drivers.laser import Guarantee
 from drivers.links import ByteLink, open_link
@@ -237,10 +239,13 @@ class Wires:
 
     def brief_link(self, address: str) -> AttendedLink:
         """Open an address for somebody who closes it."""
-        role = self._roles.get(_place(address), "sensor")
+        place = _place(address)
+        role = self._roles.get(place, "sensor")
 
         def lost() -> None:
             self._safety.lost_role = role
+            with suppress(GuardLost):
+                self._leave(place)
 
         return AttendedLink(lambda: self._links(address), self._guard, lost)
 
@@ -272,14 +277,24 @@ class Wires:
         self._guard.drop(self._opened[place])
         self._move_lock(place)
 
-    def _move_lock(self, place: _Address) -> None:
-        """What is plugged in again may have another name, and the old one is somebody else's."""
-        before, now = self._places[place], places_of([self._opened[place].address])
-        if now != before:
+    def _leave(self, place: _Address) -> None:
+        """A name that is gone may be somebody else's at any time."""
+        before = self._places.get(place)
+        if before and places_of([self._opened[place].address]) != before:
             self._guard.unlock([str(each.file) for each in before])
             self._places[place] = []
-            lock_all(now, self._guard.lock)
-            self._places[place] = now
+
+    def _move_lock(self, place: _Address) -> None:
+        """What is plugged in again may have another name.
+
+        Off and stop do not wait for its lock: that nobody else has the port, the kernel says.
+        """
+        self._leave(place)
+        now = places_of([self._opened[place].address])
+        if now != self._places[place]:
+            with suppress(PortBusy):
+                lock_all(now, self._guard.lock)
+                self._places[place] = now
 
     def _take_up(self, place: _Address) -> None:
         if place in self._buses:

@@ -55,6 +55,7 @@ _VARIES = (
     (r"[\w./-]*\.(?:toml|scan|npz)(?:\.damaged)?\b|\b(?:STATION|PLAN)\.toml", "FILE"),
     (r"process \d+ \(.*\);", "process N (COMMAND);"),
     (r"tries \(.*?\): press", "tries (REASON): press"),
+    (r"over a new one \(.*?\): press", "over a new one (REASON): press"),
     (r"set aside \(.*\); the", "set aside (REASON); the"),
     (r"left out \(.*?\): `", "left out (REASON): `"),
     (r"(no connection|is gone) \((.*?)\);", r"\1 (REASON);"),

@@ -154,6 +154,7 @@ def test_a_port_that_comes_back_by_another_name_leaves_its_old_one_to_others() -
             for number in range(20):
                 at.jog(stage_mm=5.0 + number % 2)
         (now,) = places_of([at.settings.stage.address])
-        assert now.file != before.file  # another pty
-        assert now.file.read_text() == f"{os.getpid()}\n"
-        assert not before.file.exists()
+        own = f"{os.getpid()}\n"
+        assert now.file.read_text() == own
+        others = before.file != now.file and before.file.exists()  # the kernel may reuse a number
+        assert not (others and before.file.read_text() == own)
