@@ -75,7 +75,7 @@ def lobed() -> Result:
 
 @pytest.fixture(scope="module")
 def stepped() -> Result:
-    return reconstruct(cases.stripe_slices(cases.stepped_bulge))
+    return reconstruct(cases.stripe_slices(cases.stepped_bulge, share_lost=0.15))
 
 
 def test_meridians_all_round_make_one_closed_surface_at_the_bound_of_their_noise(
