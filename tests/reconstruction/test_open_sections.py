@@ -169,7 +169,9 @@ def test_stripes_make_an_open_sheet_as_wide_as_they_are_at_the_bound_of_their_no
     assert rms(errors) < NEAR_BOUND * bound_mm(result)
     # The stripe that reaches farthest of several says where they end.
     assert np.ptp(places[:, 0]) > 114.0
-    np.testing.assert_allclose([places[:, 1].min(), places[:, 1].max()], [-40.0, 40.0], atol=1e-9)
+    # Borders move with the noise, along normals that lean a little.
+    ends = [places[:, 1].min(), places[:, 1].max()]
+    np.testing.assert_allclose(ends, [-40.0, 40.0], atol=cases.SIGMA)
     assert result.metrics["layout"] == "stripes"
     assert not result.metrics["watertight"]
     assert result.metrics["manifold"]
