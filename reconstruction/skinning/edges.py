@@ -44,8 +44,15 @@ def joined(
         starts, ends = [still, *moved[:, 1]], [*moved[:, 0], still]
     for ((_, first), (last, _)), start, end in zip(pairwise(borders), starts, ends, strict=True):
         _stretch(net, control, np.arange(first, last + 1), start, end)
-    for before, behind in net.crease_columns:  # but for rounding they are one already
-        control[behind] = control[before]
+    if net.closed_u:
+        for before, behind in net.crease_columns:  # but for rounding they are one already
+            control[behind] = control[before]
+    abscissae = greville(net.knots_u, len(control))
+    for first, last in net.walls:  # straight from edge to edge
+        low, high = control[first - 1], control[last + 1]
+        at = abscissae[first : last + 1]
+        share = ((at - at[0]) / (at[-1] - at[0]))[:, None, None]
+        control[first : last + 1] = (1.0 - share) * low + share * high
     return control
 
 

@@ -105,7 +105,7 @@ def off_the_walls(net: Net, cells: Moments, u: FloatArray, v: FloatArray) -> Flo
 
     Of an open net; its creases are the edges of such walls, two and two.
     """
-    if net.closed_u or not len(net.creases):
+    if not len(net.walls):
         return u
     moved = np.array(u)
     for low, high in net.creases.reshape(-1, 2).astype(np.float64):

@@ -54,6 +54,17 @@ class Net:
         return np.stack([right - 1, right], axis=1)
 
     @property
+    def walls(self) -> IntArray:
+        """First and last column of control points (w, 2) of every wall of a step.
+
+        In an open net creases are the edges of walls that no section shows, two and two (`sheets`).
+        """
+        if self.closed_u or not len(self.creases):
+            return np.empty((0, 2), np.int64)
+        pairs = self.crease_columns.reshape(-1, 2, 2)
+        return np.asarray(np.stack([pairs[:, 0, 1], pairs[:, 1, 0]], axis=1))
+
+    @property
     def spans(self) -> tuple[float, float]:
         """Ends of the domain, which begins at 0."""
         return (

@@ -49,7 +49,7 @@ _ALL_ROUND = math.radians(75.0)  # no wider gap between meridians that go all ro
 _REACH = 3.0  # spans of the first net: cells farther off are not its
 _LEAST_STRANDS = 2
 _FEWEST, _MOST_KEPT = 8, 0.9  # strands, and of them, that are never taken for wild
-_ROUGH = 48  # stations that tell which are
+_ROUGH, _ROUGH_ENDS = 48, 4  # stations that tell which are, but for those at either end
 _FEW, _SPANS_A_ROW = 20, 2  # as in `skin`: of so few, a spline may take the fit's place
 
 
@@ -107,7 +107,9 @@ def _wild(
     left, found = list(strands), []
     while len(left) > max(_FEWEST, _MOST_KEPT * len(strands)):
         seen = view(left, 0.0, cyclic=cyclic, stepped=False)
-        worst = standing_out(placed(seen.stations([_ROUGH])), cyclic=cyclic)
+        # Not at the ends, where one that is short has what its neighbours say, wild or not.
+        places = placed(seen.stations([_ROUGH]))[:, _ROUGH_ENDS:-_ROUGH_ENDS]
+        worst = standing_out(places, cyclic=cyclic)
         if worst is None:
             break
         found.append(left.pop(worst).slice_index)

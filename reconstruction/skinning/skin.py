@@ -42,6 +42,7 @@ _NEAR_END = 4  # outlines
 _FEWEST = 8  # outlines
 _WILD = 4.0  # times as far as those nearby from the middle between its neighbours
 _WILD_STEPS = 0.3  # and of the usual way to the next outline
+_BESIDE = 1e-6  # spans, beside an edge
 _EXACT = 1e-7  # of a part's size: scatter below it is none
 
 
@@ -84,6 +85,7 @@ class Skin:
     def deviation_mm(self, u: FloatArray, v: FloatArray) -> FloatArray:
         """Posterior standard deviation across the surface at (m,), (m,)."""
         net = self.fit.net
+        u = self._beside_walls(u)
         _, first_u, first_v = points_and_tangents_at(net.surface(), u, v)
         at = (
             basis_at(u, net.knots_u, 0, closed=net.closed_u),
@@ -120,10 +122,19 @@ class Skin:
         missing = lies_in(heights, unseen_bands(self.branch, self.moments))
         return np.asarray((counts[column, row] == 0) | missing | self._in_walls(u))
 
+    def _beside_walls(self, u: FloatArray) -> FloatArray:
+        """Parameters (m,), those in the walls of steps at the nearer edge: all that is known."""
+        if not len(self.fit.net.walls):
+            return u
+        low, high = (self.fit.net.creases.astype(np.float64)[k::2] for k in (0, 1))
+        wall = np.clip(np.searchsorted(low, u, "right") - 1, 0, None)
+        nearer = np.where(u - low[wall] < high[wall] - u, low[wall] - _BESIDE, high[wall] + _BESIDE)
+        return np.where((u >= low[wall]) & (u <= high[wall]), nearer, u)
+
     def _in_walls(self, u: FloatArray) -> BoolArray:
         """Whether parameters lie in the walls of steps across stripes, which no slice sees."""
         creases = self.fit.net.creases
-        if self.fit.net.closed_u or not len(creases):
+        if not len(self.fit.net.walls):
             return np.zeros(np.shape(u), np.bool_)
         return np.asarray((np.searchsorted(creases, u) % 2 == 1) & ~np.isin(u, creases))
 

@@ -141,7 +141,12 @@ class View:
     ) -> tuple[FloatArray, BoolArray]:
         """Stations (k, count + 1, 2) of a face, and which of them runs show."""
         along = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, count + 1)
-        places, measured = _looked_up(self.runs, along)
+        # A run that only just reaches in is of the face beside, on the other side of a step.
+        own = [
+            [(s, run) for s, run in runs if _is_within(s, float(a), float(b))]
+            for runs, a, b in zip(self.runs, low, high, strict=True)
+        ]
+        places, measured = _looked_up(own, along)
         first, last = low + self._blind(number - 1), high - self._blind(number)
         measured &= (along >= first[:, None]) & (along <= last[:, None])
         seen = self.middle.at(along)
@@ -264,6 +269,12 @@ def _mean(middle: Middle, runs: Sequence[Runs]) -> Middle:
         return middle
     offsets = _filled(places - seen, measured, cyclic=False)
     return _middle((seen + offsets).mean(axis=0)[shared])
+
+
+def _is_within(s: FloatArray, low: float, high: float) -> bool:
+    """Whether half of a run, or of a face from low to high, is in the other."""
+    shared = min(float(s[-1]), high) - max(float(s[0]), low)
+    return shared > 0.5 * min(float(s[-1] - s[0]), high - low)
 
 
 def _looked_up(runs: Sequence[Runs], along: FloatArray) -> tuple[FloatArray, BoolArray]:

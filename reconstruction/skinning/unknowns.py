@@ -72,6 +72,8 @@ def unknowns_of(net: Net, level: tuple[FloatArray | None, FloatArray | None]) ->
             lengths = np.linalg.norm(flat, axis=1, keepdims=True)
             directions[:, row] = flat / np.maximum(lengths, 1e-300)
     directions[:, net.apex] = 0.0
+    for first, last in net.walls:  # they go where their edges do: nothing else holds them
+        directions[first : last + 1] = 0.0
     return Unknowns(directions, *_numbered(net))
 
 

@@ -152,7 +152,7 @@ def test_meridians_over_half_a_turn_make_a_sheet_that_is_said_to_be_open() -> No
 
 
 def test_a_cloud_is_cut_in_meridians_where_that_is_asked_for() -> None:
-    cloud = cases.cloud_of(cases.meridian_slices(cases.lobed_vase)) + [300.0, -40.0, 0.0]
+    cloud = cases.cloud_of(cases.meridian_slices(cases.lobed_vase)) + np.array([300.0, -40.0, 0.0])
     rng = np.random.default_rng(3)
     result = reconstruct(
         rng.permutation(cloud), layout="meridians", axis_at_mm=(300.0, -40.0), exact="never"
@@ -169,14 +169,15 @@ def test_stripes_make_an_open_sheet_as_wide_as_they_are_at_the_bound_of_their_no
     assert rms(errors) < NEAR_BOUND * bound_mm(result)
     # The stripe that reaches farthest of several says where they end.
     assert np.ptp(places[:, 0]) > 114.0
-    np.testing.assert_allclose([places[:, 1].min(), places[:, 1].max()], [-40.0, 40.0], atol=1e-9)
+    # Borders move with the noise, along normals that lean a little.
+    ends = [places[:, 1].min(), places[:, 1].max()]
+    np.testing.assert_allclose(ends, [-40.0, 40.0], atol=cases.SIGMA)
     assert result.metrics["layout"] == "stripes"
     assert not result.metrics["watertight"]
     assert result.metrics["manifold"]
     assert result.metrics["components"] == 1
-    assert (
-        facing(result, np.array([0.0, 0.0, 1.0])) == facing(result, np.array([0.0, 0.0, 1.0]))[0]
-    ).all()
+    sides = facing(result, np.array([0.0, 0.0, 1.0]))
+    assert (sides == sides[0]).all()  # no fold
 
 
 def test_an_open_mesh_looks_up() -> None:
@@ -217,7 +218,7 @@ def test_a_sheet_goes_to_cad_as_one_valid_face_and_comes_back(
     u, v = (np.linspace(*domain, 60) for domain in surface.domain)
     for found in (
         read_step(folder / "surface.step"),
-        read_threedm(folder / "surface.3dm").surfaces,
+        read_threedm(folder / "surface.3dm")[0],
     ):
         (back,) = found
         off = evaluate_surface(back, u, v) - evaluate_surface(surface, u, v)
@@ -231,7 +232,7 @@ def test_three_stripes_far_apart_are_followed_by_a_spline() -> None:
 
 def test_a_stripe_far_off_is_left_out_and_named() -> None:
     slices = cases.stripe_slices(cases.bulge, count=40, points=300)
-    slices[17] = Slice(17, slices[17].points_mm + [0.0, 0.0, 8.0], slices[17].frame)
+    slices[17] = Slice(17, slices[17].points_mm + np.array([0.0, 0.0, 8.0]), slices[17].frame)
     result = reconstruct(slices)
     assert any("slice 17: stands out from both neighbours" in each for each in result.warnings)
     errors = cases.relief_errors(cases.bulge, within_rim(lattice(result)))
