@@ -222,12 +222,10 @@ class ScanFolder:
 
     def _bytes(self, index: int) -> bytes:
         file = self.file(index)
+        if not file.exists():
+            raise FileNotFoundError(f"{file} is not there; resume the scan to take it")
         with storage(self.path, f"reading slice {index}"):
-            try:
-                return file.read_bytes()
-            except FileNotFoundError as absent:
-                message = f"{file} is not there; resume the scan to take it"
-                raise FileNotFoundError(message) from absent
+            return file.read_bytes()
 
     def _decoded(self, index: int, data: bytes) -> Sweep:
         try:
