@@ -496,6 +496,10 @@ def test_another_part_on_the_table_is_not_gone_on_with(place: Path, plan: str, s
     ScanFolder(Path("part.scan")).file(1).unlink()
     with simulate("cylinder", seed=SEED, scale=SCALE) as other:
         end = scan(other, plan, "--resume")
+        assert end.code == 2
+        assert "name was simulated station, vase, is simulated station, cylinder" in end.line
+        renamed = changed(other, "station, cylinder", "station, vase")
+        end = scan(renamed, plan, "--resume")
         assert_told(end.line, end.code, "It is another part")
         assert end.told == ()
         assert_dark(other)
