@@ -1,5 +1,6 @@
 """Files that are whole or not there, even after a power cut: write, fsync, rename, fsync folder.
 
+Where one follows the other (`name_ahead`, `write_named`) the folder is synced first, once for many.
 A file under work has a name of its own (`temporary`), so that whoever lists the folder never takes
 half a file for a whole one.
 """
@@ -43,6 +44,40 @@ def write_whole(path: Path, data: bytes) -> None:
             part.unlink(missing_ok=True)
         raise
     sync_folder(path.parent)
+
+
+def name_ahead(folder: Path, count: int) -> tuple[Path, ...]:
+    """Make empty files under work whose names last, for `write_named`; raises OSError."""
+    parts = tuple(folder / f".ahead-{number}{_SUFFIX}" for number in range(count))
+    try:
+        for part in parts:
+            os.close(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666))
+        sync_folder(folder)
+    except OSError:
+        with suppress(OSError):  # the first failure is the one to tell
+            for part in parts:
+                part.unlink(missing_ok=True)
+        raise
+    return parts
+
+
+def write_named(part: Path, path: Path, data: bytes) -> None:
+    """Put `data` into a file of `name_ahead`, for good, and call it `path`.
+
+    One sync instead of two: after a power cut the bytes are there, whole, under one of the names.
+
+    Raises
+    ------
+    OSError
+        It is not certain to be there; nothing half is at `path`.
+    """
+    try:
+        _write(part, data)
+        part.replace(path)
+    except OSError:
+        with suppress(OSError):  # the first failure is the one to tell
+            part.unlink(missing_ok=True)
+        raise
 
 
 def rename_whole(part: Path, path: Path) -> None:

@@ -27,7 +27,7 @@ from acquisition.scanfile import (
     name_aside,
     set_aside,
 )
-from acquisition.sweep_codec import decode_sweep, encode_sweep, has_checksum
+from acquisition.sweep_codec import decode_sweep, encode_sweep
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ def repair(path: Path) -> Repair:
         for index in folder.indices():
             _mend_slice(folder, index, done)
         for part in sorted([*temporary(path), *temporary(path / SLICES)]):
-            _mend_rest(folder, record, part, done)
+            _mend_rest(folder, part, done)
         sync_folder(path / SLICES)
         sync_folder(path)
         left = folder.verify()
@@ -124,15 +124,17 @@ def _mend_slice(folder: ScanFolder, index: int, done: list[Mending]) -> None:
         file.unlink()  # its bytes are kept aside
 
 
-def _mend_rest(folder: ScanFolder, record: ScanRecord, part: Path, done: list[Mending]) -> None:
+def _mend_rest(folder: ScanFolder, part: Path, done: list[Mending]) -> None:
     """A file under work of a program that died: a slice if it is whole, else a rest."""
-    data = part.read_bytes()
-    sweep = _whole(data) if part.parent.name == SLICES and has_checksum(data) else None
-    if sweep is None or sweep.index not in record.indices or folder.file(sweep.index).exists():
+    if not part.stat().st_size:
+        part.unlink()  # a name that was made ahead: there is nothing in it
+        return
+    index = folder.whole_rest(part) if part.parent.name == SLICES else None
+    if index is None:
         done.append(Mending(set_aside(part), "set aside: the rest of a program that died"))
         return
-    rename_whole(part, folder.file(sweep.index))
-    done.append(Mending(folder.file(sweep.index), "kept: it was whole when its program died"))
+    rename_whole(part, folder.file(index))
+    done.append(Mending(folder.file(index), "kept: it was whole when its program died"))
 
 
 def _whole(data: bytes) -> Sweep | None:

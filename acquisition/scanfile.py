@@ -6,7 +6,7 @@
                 scan.spare.json         the same as it was at the start: for a repair
                 slices/000000.npz       one sweep each: whole or not there
                 slices/000007.npz.damaged       set aside, never deleted
-                slices/.000008.npz.part         under work; nobody reads it
+                slices/.ahead-3.part            under work, or to be; nobody reads it
                 .lock                   who appends
 
 Completion is the set of indices that are there, never a counter. `ScanFolder` reads, from any
@@ -26,13 +26,22 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from acquisition.durable import storage, sync_folder, temporary, write_whole
+from acquisition.durable import (
+    name_ahead,
+    rename_whole,
+    storage,
+    sync_folder,
+    temporary,
+    write_named,
+    write_whole,
+)
 from acquisition.errors import AlreadyKept, DamagedSlice, NotAScan, StorageFailed
 from acquisition.folder_lock import LOCK, FolderLock
 from acquisition.poses import Sweep
 from acquisition.scan_record import ScanRecord, State, decode_record, encode_record
 from acquisition.sweep_codec import decode_sweep, encode_sweep, has_checksum
 
+AHEAD = 8  # slices for whose names the folder is synced at once
 POLL_S = 0.02  # how long `follow` asks for in one pause
 RECORD, SPARE, SLICES = "scan.json", "scan.spare.json", "slices"
 _NAME = re.compile(r"(\d{6,})\.npz")
@@ -222,12 +231,10 @@ class ScanFolder:
 
     def _bytes(self, index: int) -> bytes:
         file = self.file(index)
+        if not file.exists():
+            raise FileNotFoundError(f"{file} is not there; resume the scan to take it")
         with storage(self.path, f"reading slice {index}"):
-            try:
-                return file.read_bytes()
-            except FileNotFoundError as absent:
-                message = f"{file} is not there; resume the scan to take it"
-                raise FileNotFoundError(message) from absent
+            return file.read_bytes()
 
     def _decoded(self, index: int, data: bytes) -> Sweep:
         try:
@@ -240,13 +247,35 @@ class ScanFolder:
         return sweep
 
     def _tidied(self) -> tuple[Damage, ...]:
-        for rest in (*temporary(self.path), *temporary(self.path / SLICES)):
+        for rest in temporary(self.path / SLICES):
+            self._name_or_remove(rest)
+        for rest in temporary(self.path):
             rest.unlink()
         aside = tuple(
             Damage(set_aside(damage.file), damage.why) for damage in self.verify().damaged
         )
         sync_folder(self.path / SLICES)
         return aside
+
+    def _name_or_remove(self, rest: Path) -> None:
+        """A slice that is whole was acknowledged, or as good as: a power cut took its name."""
+        index = self.whole_rest(rest)
+        if index is None:
+            rest.unlink()
+        else:
+            rename_whole(rest, self.file(index))
+
+    def whole_rest(self, rest: Path) -> int | None:
+        """The index of a slice of the plan that is whole in a file under work and has no name."""
+        data = rest.read_bytes()
+        if not has_checksum(data):
+            return None
+        try:
+            index = decode_sweep(data).index
+        except ValueError:
+            return None
+        known = index in self.record().indices and not self.file(index).exists()
+        return index if known else None
 
 
 class ScanWriter:
@@ -264,6 +293,7 @@ class ScanWriter:
         self._lock = lock
         self._record = record
         self._broken = False
+        self._ahead: list[Path] = []  # empty files whose names last
 
     def __enter__(self) -> Self:
         return self
@@ -323,11 +353,15 @@ class ScanWriter:
         """Write the state into scan.json."""
         marked = replace(self._record, state=state)
         with storage(self.folder.path, f"writing {RECORD}"):
+            self._settle()
             write_whole(self.folder.path / RECORD, encode_record(marked))
         self._record = marked
 
     def close(self) -> None:
         """Let go of the folder; may be called again."""
+        if self._lock.held:
+            with suppress(OSError):  # what was kept is kept; its names are found by a resume
+                self._settle()
         self._lock.release()
 
     def _keep(self, file: Path, data: bytes, doing: str) -> None:
@@ -336,8 +370,17 @@ class ScanWriter:
             raise StorageFailed(f"{self.folder.path}: {doing}: the disk failed before; resume")
         self._broken = True
         with storage(self.folder.path, doing):
-            write_whole(file, data)
+            if not self._ahead:
+                self._ahead = list(name_ahead(self.folder.path / SLICES, AHEAD))
+            write_named(self._ahead.pop(), file, data)
         self._broken = False
+
+    def _settle(self) -> None:
+        """Make the names of all slices last, and leave nothing under work."""
+        while self._ahead:
+            self._ahead.pop().unlink(missing_ok=True)
+        if not self._broken:
+            sync_folder(self.folder.path / SLICES)
 
 
 def _refuse_what_is_there(path: Path) -> None:

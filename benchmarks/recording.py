@@ -4,9 +4,9 @@
 
 Raw is the least that makes as many bytes last: a new file each, write, fsync. Keeping a slice is
 its encoding with the checksum, the same write and fsync, the rename and the fsync of the folder.
-The two take turns, so that whatever else the disk does meets both; told is the median of the
-rounds' ratios. Then so many small slices are kept in one scan, and the memory of the process is
-read after every tenth of them.
+The two take turns, slice by slice, so that whatever else the disk does meets both; told is the
+median of the rounds' ratios of medians. Then so many small slices are kept in one scan, and the
+memory of the process is read after every tenth of them.
 """
 
 from __future__ import annotations
@@ -30,22 +30,20 @@ _SIZES = ((4, 1000), (100, 640), (360, 1280))  # profiles of a slice and points 
 _SMALL = (4, 200)
 
 
-def raw_s(folder: Path, data: bytes, slices: int) -> float:
-    """Seconds for so many new files of these bytes, each synced."""
+def raw_s(file: Path, data: bytes) -> float:
+    """Seconds for a new file of these bytes, synced."""
     begun_s = time.perf_counter()
-    for number in range(slices):
-        descriptor = os.open(folder / f"{number}.raw", os.O_WRONLY | os.O_CREAT | os.O_EXCL)
-        os.write(descriptor, data)
-        os.fsync(descriptor)
-        os.close(descriptor)
+    descriptor = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL)
+    os.write(descriptor, data)
+    os.fsync(descriptor)
+    os.close(descriptor)
     return time.perf_counter() - begun_s
 
 
-def kept_s(writer: ScanWriter, taken: Sweep, slices: range) -> float:
-    """Seconds for keeping a sweep under so many indices."""
+def kept_s(writer: ScanWriter, taken: Sweep) -> float:
+    """Seconds for keeping a sweep."""
     begun_s = time.perf_counter()
-    for index in slices:
-        writer.append(replace(taken, index=index))
+    writer.append(taken)
     return time.perf_counter() - begun_s
 
 
@@ -55,12 +53,15 @@ def rates(folder: Path, size: tuple[int, int], slices: int, rounds: int) -> None
     data = encode_sweep(taken)
     raw, kept = [], []
     with ScanFolder.create(folder / "rates.scan", record(slices * rounds)) as writer:
-        for number in range(rounds):
-            (folder / str(number)).mkdir()
-            raw.append(raw_s(folder / str(number), data, slices) / slices)
-            share = range(number * slices, (number + 1) * slices)
-            kept.append(kept_s(writer, taken, share) / slices)
-    ratios = [one / other for one, other in zip(raw, kept, strict=True)]
+        for index in range(slices * rounds):
+            raw.append(raw_s(folder / f"{index}.raw", data))
+            kept.append(kept_s(writer, replace(taken, index=index)))
+    starts = range(0, slices * rounds, slices)
+    ratios = [
+        statistics.median(raw[start : start + slices])
+        / statistics.median(kept[start : start + slices])
+        for start in starts
+    ]
     print(
         f"{len(data) / 1e3:8.0f} kB a slice   raw {1.0 / statistics.median(raw):7.1f} /s"
         f"   kept {1.0 / statistics.median(kept):7.1f} /s   ratio {statistics.median(ratios):.0%}"
@@ -77,7 +78,8 @@ def memory(folder: Path, many: int) -> None:
     resident_mb = []
     with ScanFolder.create(folder / "long.scan", record(many)) as writer:
         for tenth in range(10):
-            kept_s(writer, taken, range(tenth * many // 10, (tenth + 1) * many // 10))
+            for index in range(tenth * many // 10, (tenth + 1) * many // 10):
+                writer.append(replace(taken, index=index))
             resident_mb.append(_resident_mb())
         writer.finish(State.COMPLETE)
     told = " ".join(f"{each:.1f}" for each in resident_mb)

@@ -17,7 +17,7 @@ import pytest
 
 from acquisition.errors import AlreadyKept, DamagedSlice, NotAScan, ScanInUse, StorageFailed
 from acquisition.scan_record import State, calibration_hash, decode_record, encode_record
-from acquisition.scanfile import ScanFolder
+from acquisition.scanfile import AHEAD, ScanFolder
 from acquisition.settings import as_table
 from acquisition.sweep_codec import encode_sweep
 from tests.acquisition.scan_cases import KINEMATICS, REPOSITORY, assert_same_sweep, record, sweep
@@ -270,7 +270,7 @@ def test_a_second_program_cannot_append_and_is_told_who_does(path: Path) -> None
         script = (
             "import sys; from pathlib import Path\n"
             "from acquisition.errors import ScanInUse\n"
-            "from acquisition.scanfile import ScanFolder\n"
+            "from acquisition.scanfile import AHEAD, ScanFolder\n"
             "try: ScanFolder.open(Path(sys.argv[1])).resume()\n"
             "except ScanInUse as held: print(held)\n"
         )
@@ -382,32 +382,37 @@ def failing_fsync(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[int]]:
     left.clear()
 
 
-@pytest.mark.parametrize("working", [0, 1])
+@pytest.mark.parametrize(
+    ("before", "working"),
+    [(0, 0), (0, 1), (1, 0), (AHEAD, 0), (AHEAD, 1)],
+    ids=["names", "first", "second", "next names", "first of the next"],
+)
 def test_a_slice_whose_fsync_failed_is_not_acknowledged(
-    path: Path, failing_fsync: list[int], working: int
+    path: Path, failing_fsync: list[int], before: int, working: int
 ) -> None:
-    with ScanFolder.create(path, record()) as writer:
-        writer.append(sweep(0))
+    with ScanFolder.create(path, record(AHEAD + 3)) as writer:
+        for index in range(before):
+            writer.append(sweep(index))
         failing_fsync.append(working)
-        with pytest.raises(StorageFailed, match=r"part\.scan: keeping slice 1 .*another disk"):
-            writer.append(sweep(1))
+        with pytest.raises(StorageFailed, match=r"part\.scan: keeping slice .*another disk"):
+            writer.append(sweep(before))
         failing_fsync.clear()
         with pytest.raises(StorageFailed, match="resume"):
-            writer.append(sweep(2))
+            writer.append(sweep(before + 1))
     folder = ScanFolder.open(path)
-    assert 0 in folder.verify().sound
+    assert set(range(before)) <= set(folder.verify().sound)
     assert folder.verify().damaged == ()
     assert not list((path / "slices").glob(".*"))
     with folder.resume() as writer:
         for index in folder.missing():
             writer.append(sweep(index))
-    assert folder.verify().sound == (0, 1, 2, 3, 4)
+    assert folder.verify().sound == tuple(range(AHEAD + 3))
 
 
-def test_every_slice_is_synced_before_and_its_folder_after_the_rename(
+def test_every_slice_is_synced_before_its_rename_under_a_name_that_lasts(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with ScanFolder.create(path, record()) as writer:
+    with ScanFolder.create(path, record(AHEAD + 1)) as writer:
         told: list[str] = []
         honest_fsync, honest_replace = os.fsync, Path.replace
 
@@ -421,9 +426,26 @@ def test_every_slice_is_synced_before_and_its_folder_after_the_rename(
 
         monkeypatch.setattr("os.fsync", fsync)
         monkeypatch.setattr(Path, "replace", replace)
-        writer.append(sweep(0))
-        assert told == ["file", "rename", "folder"]
+        for index in range(AHEAD + 1):
+            writer.append(sweep(index))
+        batch = ["folder", *["file", "rename"] * AHEAD]
+        assert told == [*batch, "folder", "file", "rename"]
+        told.clear()
+        writer.finish(State.COMPLETE)
+        assert told[0] == "folder"
         monkeypatch.undo()
+    assert not list(path.rglob(".*.part"))
+
+
+def test_a_slice_whose_name_a_power_cut_took_is_found_by_a_resume(path: Path) -> None:
+    folder = written(path, [0, 1])
+    folder.file(1).rename(path / "slices/.ahead-6.part")
+    (path / "slices/.ahead-5.part").write_bytes(b"")
+    assert folder.missing() == (1, 2, 3, 4)
+    with folder.resume() as writer:
+        assert writer.folder.missing() == (2, 3, 4)
+        assert folder.verify().sound == (0, 1)
+    assert not list(path.rglob(".*.part"))
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from pathlib import Path
 
 from tests.campaigns.tracing import Call
 
-_MOST_PENDING = 6  # names whose subsets are all tried; of more, those up to each instant
+_MOST_PENDING = 6  # names whose subsets are all tried; of more: up to each, and only each
 
 
 @dataclass(eq=False)
@@ -161,7 +161,9 @@ def _torn(file: _File, share: float) -> bytes:
 
 def _subsets(pending: Sequence[_Naming]) -> Iterator[tuple[_Naming, ...]]:
     if len(pending) > _MOST_PENDING:
-        yield from (tuple(pending[:count]) for count in range(len(pending) + 1))
+        for count in range(len(pending) + 1):
+            yield tuple(pending[:count])
+            yield tuple(pending[count : count + 1])
         return
     for count in range(len(pending) + 1):
         yield from combinations(pending, count)

@@ -495,6 +495,41 @@ def test_a_damaged_slice_is_set_aside_by_a_resume_which_takes_it_again(
         assert_same_measurement(folder.read(index), ScanFolder(sound).read(index))
 
 
+def test_another_part_on_the_table_is_not_gone_on_with(place: Path, plan: str, sound: Path) -> None:
+    shutil.copytree(sound, "part.scan")
+    ScanFolder(Path("part.scan")).file(1).unlink()
+    with simulate("cylinder", seed=SEED, scale=SCALE) as other:
+        end = scan(other, plan, "--resume")
+        assert end.code == 2
+        assert "name was simulated station, vase, is simulated station, cylinder" in end.line
+        renamed = changed(other, "station, cylinder", "station, vase")
+        end = scan(renamed, plan, "--resume")
+        assert_told(end.line, end.code, "It is another part")
+        assert end.told == ()
+        assert_dark(other)
+    assert ScanFolder(Path("part.scan")).indices() == (0,)
+
+
+def test_a_scan_json_that_is_damaged_is_mended(
+    station: Simulated, place: Path, sound: Path
+) -> None:
+    shutil.copytree(sound, "part.scan")
+    Path("part.scan/scan.json").write_text("{")
+    ran = run("scans", "verify", "part.scan")
+    line = ran.stderr.strip().removeprefix("loftscan: ")
+    assert_told(line, ran.exit_code, "The record of a scan is damaged")
+    succeeded(run("scans", "repair", "part.scan"))
+    succeeded(run("scans", "verify", "part.scan"))
+
+
+def test_damaged_slices_are_counted_by_verify(place: Path, sound: Path) -> None:
+    shutil.copytree(sound, "part.scan")
+    damage(Path("part.scan"), 1)
+    ran = run("scans", "verify", "part.scan")
+    line = ran.stderr.strip().removeprefix("loftscan: ")
+    assert_told(line, ran.exit_code, "Slices are damaged")
+
+
 def test_a_damaged_slice_is_left_out_by_a_reconstruction(
     place: Path, without_pictures: None
 ) -> None:
