@@ -1,17 +1,19 @@
 """A mesh near points laid through them: all its vertices at once, stiff as the points have it.
 
-Vertices move along their normals by h, so that the mesh goes through the points and the way it goes
-bends little::
+Vertices move along their normals by h, so that the mesh goes through the points and its curvature
+changes little from place to place::
 
-    sum over points  (rise - h)^2 / variance   +   integral of  stiffness (Laplacian of h)^2
+    sum over points  (rise - h)^2 / variance  +  integral of  stiffness (excess + Laplacian h)^2
 
-What one slice does not tell, at a gap or between slices, thus follows from all that is told around,
-by how certain it is. (A quadratic surface through the points around each vertex by itself, as wide
-as its scatter allowed, was twice as far off beside gaps: a window that sees points on one side only
-goes on as their noise happens to slope.)
+The excess is the mesh's curvature beyond that of its surroundings, as far as points have seen
+them. So noise and roundings of the mesh that h starts from do not stay, and what no slice tells, at
+a gap, between slices or on a top that lies between two of them, goes on bent as all around is.
+(With the Laplacian of h alone, a mesh that dipped between the last outlines of a dome kept its dip.
+A quadratic surface through the points around each vertex by itself was twice as far off beside
+gaps: a window that sees points on one side only goes on as their noise happens to slope.)
 
 The stiffness varies over the surface: a broad flank is smoothed widely, and an ear is not smoothed
-away. It follows from the points by one step of restricted likelihood (Wood, Fasiolo 2017,
+away. It follows from the points by two steps of restricted likelihood (Wood, Fasiolo 2017,
 doi:10.1111/biom.12666), its two sums taken over some grains around each vertex. The freedom that
 points use up is told by surfaces drawn from the posterior, an exact inverse being far dearer.
 """
@@ -29,14 +31,14 @@ from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.skinning.mesh_feet import MeshFeet, mesh_feet, vertex_normals
 
 _FIRST_WAVE = 0.8  # grains: what is shorter, the first stiffness smooths
-_WIDER = 1.25  # than likelihood says: the mesh that h starts from has some of the same noise
-_MOST_WIDER = 4.0  # than the first, and narrower: no one step tells more
+_WIDER = 1.3  # than likelihood says after so few steps; 1.35 is as good, 1.1 and 1.5 are not
+_MOST_WIDER = 4.0  # than before, and narrower: no one step tells more
 _ALIKE = 3.0  # grains: over which curvature is compared with that of the surroundings
 _BARELY, _LEAST_SEEN = 0.1, 1e-4  # of the usual weight of points around a vertex
 _AROUND = 1.0  # grains, in which the stiffness is alike
 _DRAWN = 4  # surfaces
-_LESSONS = 2
-_ROUNDS = 2  # with the stiffness learnt
+_LESSONS = 2  # turns after which the stiffness is learnt
+_ROUNDS = 2  # after the first turn
 _LEVEL = 0.05  # of the variance in the plane: what is left of it on a level wall
 _EXACT = 1e-3  # of a grain: scatter below it is none
 _FAR, _FAR_GRAINS = 5.0, 0.5  # standard deviations and grains up to which points are of a mesh

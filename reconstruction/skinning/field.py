@@ -36,9 +36,8 @@ _CLOSED = 2.0  # grains: what is narrower is not reached from outside at first
 _SMEARED: tuple[float, ...] = (
     (4.0,) * 3 + (3.0,) * 3 + (2.5,) * 3 + (2.0,) * 3 + (1.6,) * 3 + (1.3,) * 2 + (1.0,) * 4
 )
-_SMEARED_LESS: tuple[float, ...] = (1.3, 1.1, 0.9) + (
-    0.7,
-) * 4  # where the guess is right nearly everywhere
+# Where the guess is right nearly everywhere. At a whole grain, slots of two grains close.
+_SMEARED_LESS: tuple[float, ...] = (1.3, 1.1, 0.9, 0.7, 0.7, 0.7, 0.7)
 _LEAST_SMEARED = 0.8  # cells
 _DENSITY = 1.5  # grains in which density is told
 _OPEN = 0.9  # of the margin: certainly outside
