@@ -16,6 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Self
 
+from acquisition.calibration_in_force import in_force
 from acquisition.errors import Stopped
 from acquisition.frames import Kinematics
 from acquisition.opening import OpenStation
@@ -92,6 +93,7 @@ def scan(
     resume: bool = False,
     part: PartStands = PartStands.ANYWHERE,
     attendance: Attendance = Attendance.NOBODY,
+    override: str | None = None,
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> Scan:
     """Scan a plan, slice by slice.
@@ -109,18 +111,22 @@ def scan(
         Needed to resume where the table's zero is where it stands when it is homed.
     attendance
         Whether somebody stays at the station: needed for a laser that no watchdog turns off.
+    override
+        Why to scan without a calibration that holds; the words are kept in the scan's record.
     progress
         Told after every stop of the table.
 
     Raises
     ------
     ValueError, AcquisitionError
-        At once: the plan leaves the soft limits, the folder is there or does not fit the disk.
+        At once: the plan leaves the soft limits, there is no calibration that holds, the folder is
+        there or does not fit the disk.
     """
     wanted = plan if isinstance(plan, Plan) else read_plan(Path(plan))
     name = "plan" if isinstance(plan, Plan) else str(plan)
     check_plan(wanted, station.settings, name)
     must_be_attended(station.devices.guarantee, attendance)
+    held = in_force(station.settings, station.folder, datetime.now(UTC), override=override)
     stop = StopRequest()
 
     def taken(missing: tuple[int, ...] | None) -> Generator[Sweep]:
@@ -135,12 +141,13 @@ def scan(
                 raise ValueError("resume needs out, the .scan folder to go on with")
             sweeps = taken(None)
         else:
-            here = prospect(station.settings, wanted, Path(out), resume=resume, plan_name=name)
+            here = prospect(
+                station.settings, wanted, Path(out), resume=resume, plan_name=name, in_force=held
+            )
             with station.attention.at_work(stop):
                 writer = keeping.enter_context(begin(here, station.devices, stop))
             sweeps = _kept(taken(writer.folder.missing()), writer)
-        kinematics = station.settings.kinematics
-        made = Scan(sweeps, wanted, kinematics, stop, station.attention, keeping.pop_all())
+        made = Scan(sweeps, wanted, held.kinematics, stop, station.attention, keeping.pop_all())
     station.begin(made)
     return made
 

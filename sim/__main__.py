@@ -19,8 +19,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NoReturn
 
+from sim.artefacts import CERTIFICATES
 from sim.axes import StageFamily, TableFamily
 from sim.cabling import Cabling
+from sim.crooked import Crookedness
 from sim.faults import FAULTS, parse_faults
 from sim.lasers import LaserWiring
 from sim.parts import PARTS, find_part
@@ -86,6 +88,7 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
         stage_family=StageFamily(wanted.stage),
         profiler_family=ProfilerFamily(wanted.profiler),
         laser=LaserWiring(wanted.laser),
+        crooked=Crookedness() if wanted.crooked else None,
     )
     files = _files(wanted, folder)
     with WitnessLog(files.witness) as witness:
@@ -98,6 +101,9 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
             plan = plan_toml(layout, part, rings=wanted.rings, stops=wanted.stops)
             files.plan.write_text(plan, encoding="utf-8")
             files.station.write_text(station_toml(layout, addresses, part.name), encoding="utf-8")
+            if part.name in CERTIFICATES:
+                certificate = files.station.with_name("artefact.toml")
+                certificate.write_text(CERTIFICATES[part.name](), encoding="utf-8")
             if wanted.while_stdin_open:
                 _end_with_stdin(server, ending, devices)
             _tell(files, as_json=wanted.json)
@@ -185,6 +191,7 @@ def _parser() -> argparse.ArgumentParser:
     option("--faults", default="", metavar="NAME,NAME=N", help="what is wrong; --list names all")
     wirings = [each.value for each in LaserWiring]
     option("--laser", choices=wirings, default=normal.laser.value, help="what switches the laser")
+    option("--crooked", action="store_true", help="stands otherwise than station.toml says")
     option("--out", type=Path, metavar="DIR", help="keeps the files; absent: gone at the end")
     option("--station", type=Path, metavar="FILE", help="for station.toml alone")
     option("--witness", type=Path, metavar="FILE", help="for the log of what truly happened alone")

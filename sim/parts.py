@@ -16,6 +16,7 @@ from types import MappingProxyType
 import numpy as np
 
 from sim.arrays import FloatArray
+from sim.artefacts import ARTEFACTS
 from sim.solids import Part, radial_solid, read_mesh, stack_rings
 
 _DARK = 0.0
@@ -141,6 +142,7 @@ PARTS: Mapping[str, Callable[[], Part]] = MappingProxyType(
         "vase": vase,
         "badly-acquired": badly_acquired,
         "blade": blade,
+        **ARTEFACTS,
     }
 )
 

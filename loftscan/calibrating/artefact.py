@@ -166,11 +166,12 @@ def read_artefact(path: Path) -> Artefact:
 
 def _elements(kind: str, tables: object, name: str) -> dict[str, Any]:
     if not isinstance(tables, Mapping):
-        raise ValueError(f"{name}: {kind}: {tables!r} is no table; write [{kind}.NAME]")
+        raise ValueError(f"{name}: {kind}: no table; write [{kind}.NAME]")  # noqa: TRY004
     found = {}
     for each, table in tables.items():
         if not isinstance(table, Mapping):
-            raise ValueError(f"{name}: {kind}.{each}: no table; write [{kind}.{each}] above it")
+            wrong = f"{name}: {kind}.{each}: no table; write [{kind}.{each}] above it"
+            raise ValueError(wrong)  # noqa: TRY004 (of a file, not of a caller)
         found[each] = read_table(_KINDS[kind], table, name, f"{kind}.{each}")
     return found
 
@@ -190,7 +191,9 @@ def _check(artefact: Artefact, name: str) -> None:
         path = f"{name}: spacings.{key}"
         for end in (spacing.one, spacing.other):
             if end not in artefact.spheres:
-                raise ValueError(f"{path}: {end!r} is no sphere of this file; write [spheres.{end}]")
+                raise ValueError(
+                    f"{path}: {end!r} is no sphere of this file; write [spheres.{end}]"
+                )
         if spacing.one == spacing.other:
             raise ValueError(f"{path}: from {spacing.one} to itself; name two spheres")
         pair = frozenset((spacing.one, spacing.other))

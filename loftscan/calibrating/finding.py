@@ -16,12 +16,13 @@ import numpy as np
 from acquisition.arrays import FloatArray
 from acquisition.frames import Kinematics
 from loftscan.calibrating.artefact import Artefact, SphereOf
+from loftscan.calibrating.errors import CalibrationRefused
 from loftscan.calibrating.focusing import thinned
 from loftscan.calibrating.model import Face, Seen, Spacing, placed_with
 from loftscan.calibrating.shapes import Form, Shape, distances, frame_around
 
-_POINTS = 8000
-_TRIALS = 1500
+_POINTS = 3000
+_TRIALS = 800
 _SMEAR_MM = 2.0
 _RADIUS_SHARE = 0.12  # of a known radius: a smeared sphere is thicker
 _LEAST_POINTS = 30
@@ -38,7 +39,7 @@ def find_faces(
 
     Raises
     ------
-    ValueError
+    CalibrationRefused
         One is not there; names it and what to do.
     """
     few = thinned(seen.of(seen.scan == scan), _POINTS)
@@ -71,7 +72,7 @@ def assigned(
 
     Raises
     ------
-    ValueError
+    CalibrationRefused
         An element has too few.
     """
     part_mm = placed_with(kinematics, seen).part_mm
@@ -85,7 +86,7 @@ def assigned(
     for number, face in enumerate(faces):
         rows = np.flatnonzero(near & (nearest == number))
         if len(rows) < _LEAST_POINTS:
-            raise ValueError(
+            raise CalibrationRefused(
                 f"calibration: {face.name}: {len(rows)} points within {within_mm:g} mm of it in"
                 f" scan {face.scan + 1}; see that the sheet meets it, and that artefact.toml is it"
             )
@@ -98,7 +99,7 @@ def named(faces: Sequence[Face], artefact: Artefact) -> tuple[Face, ...]:
 
     Raises
     ------
-    ValueError
+    CalibrationRefused
         No exchange fits; says by how much the best does not.
     """
     told = list(faces)
@@ -107,7 +108,7 @@ def named(faces: Sequence[Face], artefact: Artefact) -> tuple[Face, ...]:
                 if each.scan == scan and each.shape.form is Form.SPHERE]  # fmt: skip
         best, misfit = _best_names([told[i] for i in here], artefact)
         if misfit > _UNLIKE:
-            raise ValueError(
+            raise CalibrationRefused(
                 f"calibration: the spacings of the spheres differ from artefact.toml by"
                 f" {misfit:.1%} at best; correct it, or see that all spheres were scanned"
             )
@@ -181,7 +182,7 @@ def _take(
         if inside > count:
             best, count = made, inside
     if count < _LEAST_POINTS:
-        raise ValueError(
+        raise CalibrationRefused(
             f"calibration: {what}: not found among {len(cloud)} points; see that the plan meets"
             " it, and that artefact.toml is it"
         )
@@ -189,16 +190,14 @@ def _take(
     return best, cloud[_gap(cloud, form, best) >= 1.5 * _SMEAR_MM]
 
 
-def _outward_planes(
-    cloud: FloatArray, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
+def _outward_planes(cloud: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """Up to four planes (m, 4) that face away from the middle of a convex body, and the rest."""
     middle = cloud.mean(axis=0) if len(cloud) else np.zeros(3)
     planes = np.empty((0, 4))
     while len(planes) < _FRUSTUM_SIDES:
         try:
             own, cloud = _take(cloud, Form.PLANE, None, rng, "frustum")
-        except ValueError:
+        except CalibrationRefused:
             break
         outward = 1.0 if own[3] > own[:3] @ middle else -1.0
         planes = np.vstack([planes, outward * own])
@@ -262,9 +261,7 @@ def _gap(cloud: FloatArray, form: Form, own: FloatArray) -> FloatArray:
     return np.asarray(np.abs(np.linalg.norm(used - own[:-1], axis=1) - own[-1]))
 
 
-def _polished(
-    cloud: FloatArray, form: Form, own: FloatArray, radius: float | None
-) -> FloatArray:
+def _polished(cloud: FloatArray, form: Form, own: FloatArray, radius: float | None) -> FloatArray:
     """Least squares over all that lie near, twice."""
     for _ in range(2):
         near = cloud[_gap(cloud, form, own) < _SMEAR_MM]
@@ -284,11 +281,11 @@ def _frustum_face(name: str, scan: int, planes: FloatArray, faces: FloatArray) -
 
     Raises
     ------
-    ValueError
+    CalibrationRefused
         Fewer than three planes, or none that make this frustum.
     """
     if len(planes) < 3:
-        raise ValueError(
+        raise CalibrationRefused(
             f"calibration: frustum {name}: {len(planes)} of its faces found, three are needed;"
             " see that the plan meets them"
         )
@@ -298,7 +295,7 @@ def _frustum_face(name: str, scan: int, planes: FloatArray, faces: FloatArray) -
         if best is None or made[0] < best[0]:
             best = made
     if best is None or best[0] > _UNLIKE * 5.0:
-        raise ValueError(
+        raise CalibrationRefused(
             f"calibration: frustum {name}: the planes found do not make it; correct artefact.toml"
         )
     shape = Shape(Form.FRUSTUM, best[1], np.zeros(3), faces)
@@ -316,4 +313,3 @@ def _posed(planes: FloatArray, faces: FloatArray) -> tuple[float, FloatArray, Fl
     place = np.linalg.lstsq(planes[:, :3], planes[:, 3] - faces[:, 3], rcond=None)[0]
     left = float(np.abs(planes[:, :3] @ place - planes[:, 3] + faces[:, 3]).max())
     return misfit + left / 100.0, np.asarray(turn), np.asarray(place, np.float64)
-

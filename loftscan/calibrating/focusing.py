@@ -17,12 +17,14 @@ from acquisition.arrays import FloatArray
 from acquisition.frames import Kinematics, Turning
 from loftscan.calibrating.model import Seen, placed_with, turned
 
-_POINTS = 6000
+_POINTS = 4000
 _CELL_MM = 2.0
 _LEAST, _MOST = 0.2, 2.6  # true turn for a reported one
 _STEP = 0.004  # 1.5 degrees at the end of a turn
 _CLEARLY = 1.10  # sharper than what the station says, before it is contradicted
 _NEAR = 0.08  # of the scale: no contradiction
+_CANDIDATES = 5
+_APART = 0.016  # of the scale, between two that are tried
 _FINE_MM = (4.0, 2.0, 1.0, 0.5)
 
 
@@ -50,16 +52,37 @@ def focus(seen: Seen, nominal: Kinematics) -> Focus:
     grid = np.arange(_LEAST, _MOST, _STEP)
     scales = np.concatenate([-grid[::-1], grid])
     sharp = np.array([_sharpness(few, _turned_by(nominal, each)) for each in scales])
-    own = sharp[np.abs(scales - 1.0) <= _NEAR]
-    scale = float(scales[sharp.argmax()])
-    if own.max() * _CLEARLY >= sharp.max():
-        scale = float(scales[np.abs(scales - 1.0) <= _NEAR][own.argmax()])
-    found = _sharpened(few, _turned_by(nominal, scale))
+    tried = [_sharpened(few, _turned_by(nominal, each)) for each in _peaks(scales, sharp)]
+    found, best = _believed(tried, nominal)
     return Focus(
         found,
-        float(sharp.max() / np.median(sharp)),
+        best / float(np.median(sharp)),
         axes_swapped=_axes_swapped(seen, nominal, scales),
     )
+
+
+def _peaks(scales: FloatArray, sharp: FloatArray) -> list[float]:
+    """The sharpest scales, none near another; some near 1 are always among them."""
+    found: list[float] = []
+    near_one = np.abs(scales - 1.0) <= _NEAR
+    for rows in (np.flatnonzero(near_one), np.arange(len(scales))):
+        wanted = len(found) + _CANDIDATES
+        for row in rows[np.argsort(-sharp[rows])]:
+            if len(found) < wanted and all(abs(scales[row] - each) > _APART for each in found):
+                found.append(float(scales[row]))
+    return found
+
+
+def _believed(
+    tried: list[tuple[Kinematics, float]], nominal: Kinematics
+) -> tuple[Kinematics, float]:
+    """The sharpest; one that contradicts the station only if it is clearly sharper."""
+    agree = [each for each in tried
+             if each[0].table_sense is nominal.table_sense
+             and abs(each[0].table_deg_per_deg - 1.0) <= 1.5 * _NEAR]  # fmt: skip
+    best = max(tried, key=lambda each: each[1])
+    own = max(agree, key=lambda each: each[1], default=best)
+    return own if own[1] * _CLEARLY >= best[1] else best
 
 
 def _turned_by(kinematics: Kinematics, scale: float) -> Kinematics:
@@ -84,7 +107,7 @@ def _crowding(cells: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> float:
     return float(np.sum(counts.astype(np.float64) ** 2) / len(cells))
 
 
-def _sharpened(seen: Seen, start: Kinematics) -> Kinematics:
+def _sharpened(seen: Seen, start: Kinematics) -> tuple[Kinematics, float]:
     """Walk the axis's place and the scale downhill, coordinate by coordinate, ever finer."""
     best, at = _sharpness(seen, start), start
     for step_mm in _FINE_MM:
@@ -93,12 +116,12 @@ def _sharpened(seen: Seen, start: Kinematics) -> Kinematics:
         for name, step in steps:
             for way in (-step, step):
                 while True:
-                    tried = replace(at, **{name: getattr(at, name) + way})  # type: ignore[arg-type]
+                    tried = replace(at, **{name: getattr(at, name) + way})
                     sharp = _sharpness(seen, tried)
                     if sharp <= best:
                         break
                     best, at = sharp, tried
-    return at
+    return at, best
 
 
 def _planes_swapped(seen: Seen, nominal: Kinematics) -> bool:

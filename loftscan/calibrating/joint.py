@@ -22,6 +22,7 @@ from acquisition.arrays import FloatArray
 from acquisition.frames import Kind, Kinematics
 from acquisition.poses import Sweep
 from loftscan.calibrating.artefact import Artefact
+from loftscan.calibrating.errors import CalibrationRefused
 from loftscan.calibrating.finding import assigned, find_faces, named, spacings_of
 from loftscan.calibrating.focusing import Focus, focus, thinned
 from loftscan.calibrating.model import PARAMETERS, Face, Model, Seen, Spacing
@@ -84,7 +85,7 @@ def seen_in(scans: Sequence[Sequence[Sweep]]) -> Seen:
                 profile.append(np.full(len(points_mm), number, np.int64))
                 number += 1
     if not planar:
-        raise ValueError("calibration: no profile in these scans")
+        raise CalibrationRefused("calibration: no profile in these scans")
     return Seen(*(np.concatenate(each) for each in (planar, stage, table, scan, profile)))
 
 
@@ -100,12 +101,14 @@ def calibrate(
 
     Raises
     ------
-    ValueError
+    CalibrationRefused
         An element is not found, the spacings do not fit: one line, with the remedy.
     """
     whole = len(seen)
     if whole == 0:
-        raise ValueError("calibration: not one measured point; see that the sheet meets the part")
+        raise CalibrationRefused(
+            "calibration: not one measured point; see that the sheet meets the part"
+        )
     seen = thinned(seen, _MOST_POINTS)
     progress("focus")
     focused = focus(seen, nominal)
@@ -127,9 +130,29 @@ def calibrate(
         solution = _settled(rough, solution.kinematics, faces, len(scans))
     held = spacings_of(artefact, held_out=False)
     solution = _finished(seen, solution, held)
-    return Calibrated(
-        solution, judge(solution), focused, check(solution, artefact), whole
-    )
+    return Calibrated(solution, judge(solution), focused, check(solution, artefact), whole)
+
+
+def held_to(
+    seen: Seen, kinematics: Kinematics, artefact: Artefact, *, seed: int = 1
+) -> tuple[Solution, tuple[Check, ...]]:
+    """Fit the artefact alone, the kinematics as they are: what does not fit has drifted.
+
+    Raises
+    ------
+    CalibrationRefused
+        An element is not found where the calibration places it.
+    """
+    seen = thinned(seen, _ROUGH_POINTS)
+    rng = np.random.default_rng(seed)
+    scans = range(int(seen.scan.max()) + 1)
+    faces = tuple(f for i in scans for f in find_faces(seen, i, kinematics, artefact, rng))
+    sigma_mm = np.full(len(scans), _FIRST_SIGMA_MM)
+    solution = solve(Model(kinematics, (), seen, faces, (), sigma_mm))
+    faces = assigned(seen, _at(solution), kinematics, _WITHIN_MM[-1])
+    faces = named(faces, artefact) if artefact.spheres else faces
+    solution = solve(Model(kinematics, (), seen, faces, (), solution.model.sigma_mm))
+    return solution, check(solution, artefact)
 
 
 def check(solution: Solution, artefact: Artefact) -> tuple[Check, ...]:
@@ -137,7 +160,7 @@ def check(solution: Solution, artefact: Artefact) -> tuple[Check, ...]:
     found = []
     faces = solution.model.faces
     own = solution.model.own(solution.at)
-    columns = solution.model._columns()[1]  # noqa: SLF001
+    columns = solution.model.columns()
     for scan in sorted({each.scan for each in faces}):
         where = {f.name: i for i, f in enumerate(faces)
                  if f.scan == scan and f.shape.form is Form.SPHERE}  # fmt: skip
@@ -164,12 +187,10 @@ def _check(
     return Check(spacing.name, scan, length, spacing.distance_mm, math.sqrt(max(variance, 0.0)))
 
 
-def _settled(
-    seen: Seen, start: Kinematics, faces: tuple[Face, ...], scans: int
-) -> Solution:
+def _settled(seen: Seen, start: Kinematics, faces: tuple[Face, ...], scans: int) -> Solution:
     """Solve and give the points out anew, within less each time."""
     sigma_mm = np.full(scans, _FIRST_SIGMA_MM)
-    solution = solve(Model(start, PARAMETERS, seen, _with(faces), (), sigma_mm))
+    solution = solve(Model(start, PARAMETERS, seen, faces, (), sigma_mm))
     for within_mm in _WITHIN_MM:
         solution = _again(seen, solution, within_mm, ())
     return solution
@@ -195,10 +216,6 @@ def _at(solution: Solution) -> tuple[Face, ...]:
     return tuple(
         replace(face, own=each) for face, each in zip(solution.model.faces, own, strict=True)
     )
-
-
-def _with(faces: tuple[Face, ...]) -> tuple[Face, ...]:
-    return faces
 
 
 def _unsolved(seen: Seen, focused: Focus, whole: int) -> Calibrated:

@@ -143,6 +143,10 @@ class Model:
         """Which point of `seen` each of the first residuals belongs to."""
         return np.concatenate([np.empty(0, np.int64), *(each.rows for each in self.faces)])
 
+    def columns(self) -> list[slice]:
+        """Where each face's own parameters stand, but for its radius."""
+        return self._columns()[1]
+
     def _evaluate(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
         placing = placed_with(self.kinematics(at), self.seen)
         rows, jacobians = [], []
@@ -219,10 +223,10 @@ class Placing:
         out = facing @ sensor_rotation(self.kinematics)[:, 2]
         return np.sqrt(np.maximum(1.0 - out**2, _LEAST_IN_PLANE**2))
 
-    def by_kinematics(
-        self, normal: FloatArray, rows: IntArray, free: Sequence[str]
-    ) -> FloatArray:
+    def by_kinematics(self, normal: FloatArray, rows: IntArray, free: Sequence[str]) -> FloatArray:
         """Derivatives of the distances of some points by kinematic parameters, (m, k)."""
+        if not free:
+            return np.empty((len(rows), 0))
         m = self._facing(normal, rows)
         arm, part = self.arm_mm[rows], self.part_mm[rows]
         x_mm, z_mm = self.seen.planar_mm[rows].T

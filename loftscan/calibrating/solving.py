@@ -20,6 +20,7 @@ from scipy.optimize import least_squares
 
 from acquisition.arrays import FloatArray
 from acquisition.frames import Kinematics
+from loftscan.calibrating.errors import CalibrationRefused
 from loftscan.calibrating.model import IntArray, Model
 
 _STRAY = 4.5  # standard deviations: of 100 000 sound points one
@@ -64,13 +65,13 @@ def solve(model: Model) -> Solution:
 
     Raises
     ------
-    ValueError
+    CalibrationRefused
         Fewer points than parameters.
     """
     at = model.begin()
     whole = len(model.rows())
     if whole <= len(at):
-        raise ValueError(
+        raise CalibrationRefused(
             f"calibration: {whole} points for {len(at)} unknowns; scan more of the artefact"
         )
     at = _descended(model, at, loss="soft_l1")

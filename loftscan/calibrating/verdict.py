@@ -45,7 +45,9 @@ _LENGTH = (
     "add a known length: spheres of known radius or spacing, or a frustum of known geometry;"
     " planes and cylinders along the stage stay what they are however far it moves"
 )
-_TURN = "let the plan turn the table by a whole turn, and put something that is not round off its axis"
+_TURN = (
+    "let the plan turn the table by a whole turn, and put something that is not round off its axis"
+)
 _STAGE = (
     "scan spheres of known radius at several heights, or a frustum of known geometry: any motion of"
     " the stage keeps planes planes"

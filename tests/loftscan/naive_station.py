@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 def turn(axis: Array, angle_rad: float) -> Array:
-    """Rotation matrix around a unit axis: e(e.v) + cos (v - e(e.v)) + sin e x v, column by column."""
+    """Rotation matrix around a unit axis: e(e.v) + cos (v - e(e.v)) + sin e x v."""
     e = axis / np.linalg.norm(axis)
     columns = []
     for v in np.eye(3):
