@@ -21,17 +21,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike
 
-from sim.arrays import FloatArray
+from sim.arrays import FaceArray, FloatArray
 from sim.beams import first_met
-from sim.hierarchy import arrange, boxes_around
+from sim.hierarchy import arrange
 from sim.optics import OpticsSettings
 from sim.readout import gauge, read_out
 from sim.returns import returned
 from sim.sensor import SeedKey, SimProfile
 from sim.shadows import hide
-from sim.sheet import Slicer
+from sim.sheet import cut
 from sim.solids import Part
 from sim.speckle import Speckle
 
@@ -65,7 +66,11 @@ class CrookedBench:
         self._slopes = np.linspace(-sensor.steepest, sensor.steepest, sensor.points)
         self._least = (flaws.faintest, math.cos(flaws.steepest_incidence_rad))
         self._clearance_mm = _CLEARANCE * part.size_mm
-        self._corners_mm = arrange(part).corners_mm
+        self._slack_mm = _SLACK * part.size_mm
+        tree = arrange(part)
+        self._corners_mm, self._boxes_mm = tree.corners_mm, tree.boxes_mm.copy()
+        self._moved_mm = np.empty_like(tree.corners_mm)
+        self._spans_mm = np.empty((len(part.faces), 2))
         self._speckle = Speckle(flaws)
         own = gauge(sensor, flaws)
         self._gauge = own._replace(
@@ -94,22 +99,17 @@ class CrookedBench:
     def profile(self, table_rad: float, stage_mm: float, seed_key: SeedKey) -> SimProfile:
         """One profile with the table and the stage where they say they are."""
         turned, shift_mm = self.pose(table_rad, stage_mm)
-        moved = Part(
-            self._part.name,
-            self._part.vertices_mm @ turned.T + shift_mm,
-            self._part.faces,
-            reflectance=self._part.reflectance,
-        )
-        section = Slicer(moved).at(0.0)
+        vertices_mm = self._part.vertices_mm @ turned.T + shift_mm
+        _span(vertices_mm, self._part.faces, self._spans_mm)
+        section = cut(vertices_mm, self._spans_mm, 0.0, self._part)
         met = first_met(section.ends_mm, _LEVEL, self._slopes)
         light = returned(
             (section.ends_mm, section.normals, section.reflectance),
             _LEVEL, self._slopes, self._least, met,
         )  # fmt: skip
-        corners_mm = self._corners_mm @ turned.T + shift_mm
-        boxes_mm = boxes_around(corners_mm, _SLACK * self._part.size_mm)
+        _move(self._corners_mm, turned, shift_mm, self._slack_mm, self._moved_mm, self._boxes_mm)
         hide(
-            (boxes_mm, corners_mm), _LEVEL, self._slopes,
+            (self._boxes_mm, self._moved_mm), _LEVEL, self._slopes,
             (0.0, self._settings.sensor.rise_mm), light.z_mm - self._clearance_mm, light.reasons,
         )  # fmt: skip
         speckle = self._speckle.draw([seed_key], len(self._slopes))
@@ -147,3 +147,51 @@ def _about_z(angle_rad: float) -> FloatArray:
 def _leaning(tilt_rad: float, towards_rad: float) -> FloatArray:
     """Lean z by an angle towards a direction, with no turn about itself."""
     return np.asarray(_about_z(towards_rad) @ _about_y(tilt_rad) @ _about_z(-towards_rad))
+
+
+@njit(cache=True, nogil=True)
+def _span(vertices_mm: FloatArray, faces: FaceArray, spans_mm: FloatArray) -> None:
+    """Write lowest and highest z of every face."""
+    for face in range(faces.shape[0]):
+        a = vertices_mm[faces[face, 0], 2]
+        b = vertices_mm[faces[face, 1], 2]
+        c = vertices_mm[faces[face, 2], 2]
+        spans_mm[face, 0], spans_mm[face, 1] = min(a, b, c), max(a, b, c)
+
+
+@njit(cache=True, nogil=True)
+def _move(
+    corners_mm: FloatArray,
+    turned: FloatArray,
+    shift_mm: FloatArray,
+    slack_mm: float,
+    moved_mm: FloatArray,
+    boxes_mm: FloatArray,
+) -> None:
+    """Write the moved corners, and the boxes of the tree around them, leaves first."""
+    inner = boxes_mm.shape[0] // 2
+    low, high = np.empty(3), np.empty(3)
+    for node in range(boxes_mm.shape[0] - 1, -1, -1):
+        low[:], high[:] = np.inf, -np.inf
+        if node >= inner:
+            leaf = node - inner
+            for face in range(corners_mm.shape[1]):
+                for corner in range(3):
+                    for k in range(3):
+                        value = shift_mm[k]
+                        for j in range(3):
+                            value += turned[k, j] * corners_mm[leaf, face, corner, j]
+                        moved_mm[leaf, face, corner, k] = value
+                        low[k] = min(low[k], value - slack_mm)
+                        high[k] = max(high[k], value + slack_mm)
+        else:
+            for child in (2 * node + 1, 2 * node + 2):
+                for k in range(2):
+                    low[k] = min(low[k], boxes_mm[child, k] - boxes_mm[child, 2 + k])
+                    high[k] = max(high[k], boxes_mm[child, k] + boxes_mm[child, 2 + k])
+                low[2] = min(low[2], boxes_mm[child, 4])
+                high[2] = max(high[2], boxes_mm[child, 5])
+        for k in range(2):
+            boxes_mm[node, k] = (low[k] + high[k]) / 2.0
+            boxes_mm[node, 2 + k] = (high[k] - low[k]) / 2.0
+        boxes_mm[node, 4], boxes_mm[node, 5] = low[2], high[2]

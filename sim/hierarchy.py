@@ -36,7 +36,7 @@ def arrange(part: Part) -> Hierarchy:
     """Build the tree over all faces of a part."""
     corners_mm = part.vertices_mm[part.faces]
     corners_mm = corners_mm[_order(corners_mm.mean(axis=1))]
-    return Hierarchy(boxes_around(corners_mm, _SLACK * part.size_mm), corners_mm)
+    return Hierarchy(_boxes_mm(corners_mm, _SLACK * part.size_mm), corners_mm)
 
 
 def _order(middles_mm: FloatArray) -> NDArray[np.intp]:
@@ -57,8 +57,7 @@ def _order(middles_mm: FloatArray) -> NDArray[np.intp]:
     return order
 
 
-def boxes_around(corners_mm: FloatArray, slack_mm: float) -> FloatArray:
-    """Boxes (2 L - 1, 6) of a tree over leaves (L, m, 3, 3), wider by some slack."""
+def _boxes_mm(corners_mm: FloatArray, slack_mm: float) -> FloatArray:
     low, high = corners_mm.min(axis=(1, 2)), corners_mm.max(axis=(1, 2))
     lows, highs = [low], [high]
     while len(low) > 1:
