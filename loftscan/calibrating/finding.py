@@ -43,7 +43,8 @@ def find_faces(
         One is not there; names it and what to do.
     """
     few = thinned(seen.of(seen.scan == scan), _POINTS)
-    cloud = placed_with(kinematics, few).part_mm
+    placing = placed_with(kinematics, few)
+    cloud = np.hstack([placing.part_mm, placing.beams()])
     faces: list[Face] = []
     radii = sorted(artefact.spheres.items(), key=lambda each: -(each[1].radius_mm or 0.0))
     for name, sphere in radii:
@@ -75,11 +76,14 @@ def assigned(
     CalibrationRefused
         An element has too few.
     """
-    part_mm = placed_with(kinematics, seen).part_mm
+    placing = placed_with(kinematics, seen)
+    part_mm, beams = placing.part_mm, placing.beams()
     gaps = np.full((len(faces), len(seen)), np.inf)
     for number, face in enumerate(faces):
         here = np.flatnonzero(seen.scan == face.scan)
-        gaps[number, here] = np.abs(distances(face.shape, face.own, part_mm[here])[0])
+        gap, normal, _ = distances(face.shape, face.own, part_mm[here])
+        lit = np.einsum("ij,ij->i", normal, beams[here]) < 0.0
+        gaps[number, here] = np.where(lit, np.abs(gap), np.inf)
     nearest = gaps.argmin(axis=0)
     near = gaps[nearest, np.arange(len(seen))] <= within_mm
     found = []
@@ -192,7 +196,7 @@ def _take(
 
 def _outward_planes(cloud: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """Up to four planes (m, 4) that face away from the middle of a convex body, and the rest."""
-    middle = cloud.mean(axis=0) if len(cloud) else np.zeros(3)
+    middle = cloud[:, :3].mean(axis=0) if len(cloud) else np.zeros(3)
     planes = np.empty((0, 4))
     while len(planes) < _FRUSTUM_SIDES:
         try:
@@ -208,8 +212,8 @@ def _drawn(
     cloud: FloatArray, form: Form, radius: float | None, rng: np.random.Generator
 ) -> FloatArray | None:
     """An element through a few neighbours drawn at random; None where there is none."""
-    seed = cloud[rng.integers(len(cloud))]
-    away = np.abs(cloud - seed)
+    seed = cloud[rng.integers(len(cloud)), :3]
+    away = np.abs(cloud[:, :3] - seed)
     reach = _NEIGHBOURS_MM if radius is None else min(2.0 * radius, 2.0 * _NEIGHBOURS_MM)
     near = np.linalg.norm(away, axis=1) < reach
     if form is Form.CYLINDER:
@@ -229,14 +233,15 @@ def _fits(found: float, radius: float | None) -> bool:
     return found < 500.0 if radius is None else abs(found - radius) < 0.25 * radius
 
 
-def _through(points: FloatArray, form: Form) -> FloatArray | None:
-    """Sphere x, y, z, r; cylinder x, y, r; plane normal and distance."""
+def _through(drawn: FloatArray, form: Form) -> FloatArray | None:
+    """Sphere x, y, z, r; cylinder x, y, r; plane normal, against the light, and distance."""
+    points = drawn[:, :3]
     if form is Form.PLANE:
         normal = np.cross(points[1] - points[0], points[2] - points[0])
         length = float(np.linalg.norm(normal))
         if length < 1.0:
             return None
-        normal /= length
+        normal /= length if normal @ drawn[0, 3:] < 0.0 else -length
         return np.append(normal, normal @ points[0])
     used = points if form is Form.SPHERE else points[:, :2]
     return _ball(used)
@@ -256,15 +261,17 @@ def _ball(points: FloatArray) -> FloatArray | None:
 
 def _gap(cloud: FloatArray, form: Form, own: FloatArray) -> FloatArray:
     if form is Form.PLANE:
-        return np.asarray(np.abs(cloud @ own[:3] - own[3]))
-    used = cloud if form is Form.SPHERE else cloud[:, :2]
+        # A thin plate has two sides; what is lit from behind is of the other.
+        lit = cloud[:, 3:] @ own[:3] < 0.0
+        return np.where(lit, np.abs(cloud[:, :3] @ own[:3] - own[3]), np.inf)
+    used = cloud[:, : 3 if form is Form.SPHERE else 2]
     return np.asarray(np.abs(np.linalg.norm(used - own[:-1], axis=1) - own[-1]))
 
 
 def _polished(cloud: FloatArray, form: Form, own: FloatArray, radius: float | None) -> FloatArray:
     """Least squares over all that lie near, twice."""
     for _ in range(2):
-        near = cloud[_gap(cloud, form, own) < _SMEAR_MM]
+        near = cloud[_gap(cloud, form, own) < _SMEAR_MM, :3]
         if form is Form.PLANE:
             middle = near.mean(axis=0)
             normal = np.linalg.svd(near - middle, full_matrices=False)[2][2]

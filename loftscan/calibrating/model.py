@@ -251,6 +251,11 @@ class Placing:
         }
         return np.column_stack([columns[name] for name in free])
 
+    def beams(self) -> FloatArray:
+        """Which way the light went to each point, in the part frame, (n, 3)."""
+        beam = -sensor_rotation(self.kinematics)[:, 0]
+        return turned(np.tile(beam, (len(self.seen), 1)), -self.back_rad)
+
     def _facing(self, normal: FloatArray, rows: IntArray) -> FloatArray:
         return turned(normal, self.back_rad[rows])
 
