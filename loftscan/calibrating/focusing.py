@@ -17,14 +17,16 @@ from acquisition.arrays import FloatArray
 from acquisition.frames import Kinematics, Turning
 from loftscan.calibrating.model import Seen, placed_with, turned
 
-_POINTS = 4000
-_CELL_MM = 2.0
+_POINTS, _CELL_MM = 2500, 3.0  # of the search
+_FINE_POINTS, _FINE_CELL_MM = 8000, 2.0  # of the sharpening
 _LEAST, _MOST = 0.2, 2.6  # true turn for a reported one
-_STEP = 0.004  # 1.5 degrees at the end of a turn
+_STEP = 0.006  # 2 degrees at the end of a turn
 _CLEARLY = 1.10  # sharper than what the station says, before it is contradicted
+_CLEARLY_CROSSED = 1.25
 _NEAR = 0.08  # of the scale: no contradiction
-_CANDIDATES = 5
-_APART = 0.016  # of the scale, between two that are tried
+_CANDIDATES = 3
+_COARSE = 3  # every so manieth scale is enough to tell which axis turns
+_APART = 0.02  # of the scale, between two that are tried
 _FINE_MM = (4.0, 2.0, 1.0, 0.5)
 
 
@@ -51,8 +53,9 @@ def focus(seen: Seen, nominal: Kinematics) -> Focus:
         return Focus(nominal, 0.0, planes_swapped=True)
     grid = np.arange(_LEAST, _MOST, _STEP)
     scales = np.concatenate([-grid[::-1], grid])
-    sharp = np.array([_sharpness(few, _turned_by(nominal, each)) for each in scales])
-    tried = [_sharpened(few, _turned_by(nominal, each)) for each in _peaks(scales, sharp)]
+    sharp = np.array([_sharpness(few, _turned_by(nominal, each), _CELL_MM) for each in scales])
+    many = thinned(seen, _FINE_POINTS)
+    tried = [_sharpened(many, _turned_by(nominal, each)) for each in _peaks(scales, sharp)]
     found, best = _believed(tried, nominal)
     return Focus(
         found,
@@ -92,9 +95,9 @@ def _turned_by(kinematics: Kinematics, scale: float) -> Kinematics:
     return replace(kinematics, table_sense=sense, table_deg_per_deg=abs(scale))
 
 
-def _sharpness(seen: Seen, kinematics: Kinematics) -> float:
+def _sharpness(seen: Seen, kinematics: Kinematics, cell_mm: float) -> float:
     part_mm = placed_with(kinematics, seen).part_mm
-    return _crowding(np.floor(part_mm / _CELL_MM).astype(np.int64))
+    return _crowding(np.floor(part_mm / cell_mm).astype(np.int64))
 
 
 def _crowding(cells: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> float:
@@ -109,7 +112,7 @@ def _crowding(cells: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> float:
 
 def _sharpened(seen: Seen, start: Kinematics) -> tuple[Kinematics, float]:
     """Walk the axis's place and the scale downhill, coordinate by coordinate, ever finer."""
-    best, at = _sharpness(seen, start), start
+    best, at = _sharpness(seen, start, _FINE_CELL_MM), start
     for step_mm in _FINE_MM:
         steps = (("standoff_mm", step_mm), ("side_mm", step_mm),
                  ("table_deg_per_deg", step_mm / 1000.0))  # fmt: skip
@@ -117,7 +120,7 @@ def _sharpened(seen: Seen, start: Kinematics) -> tuple[Kinematics, float]:
             for way in (-step, step):
                 while True:
                     tried = replace(at, **{name: getattr(at, name) + way})
-                    sharp = _sharpness(seen, tried)
+                    sharp = _sharpness(seen, tried, _FINE_CELL_MM)
                     if sharp <= best:
                         break
                     best, at = sharp, tried
@@ -139,10 +142,11 @@ def _axes_swapped(seen: Seen, nominal: Kinematics, scales: FloatArray) -> bool:
     if span_mm <= 0.0 or span_rad <= 0.0:
         return False
     few = thinned(seen, _POINTS)
+    scales = scales[::_COARSE]
     said = max(_flat_sharpness(few, nominal, few.table_rad, each, few.stage_mm) for each in scales)
     turns = few.stage_mm / span_mm * math.tau
     crossed = max(_flat_sharpness(few, nominal, turns, each, few.table_rad) for each in scales)
-    return crossed > 1.5 * said
+    return crossed > _CLEARLY_CROSSED * said
 
 
 def _flat_sharpness(

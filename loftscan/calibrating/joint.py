@@ -34,7 +34,7 @@ _FIRST_SIGMA_MM = 0.05
 _WITHIN_MM = (2.0, 1.0)
 _SIGMAS = 8.0  # of the noise: points within are an element's
 _LEAST_WITHIN_MM = 0.1
-_ROUGH_POINTS = 12_000
+_ROUGH_POINTS = 5_000
 _MOST_POINTS = 60_000
 
 

@@ -133,11 +133,11 @@ class Model:
 
     def residuals(self, at: FloatArray) -> FloatArray:
         """In standard deviations: every point in the order of the faces, then what is known."""
-        return self._evaluate(at)[0]
+        return self.evaluate(at)[0]
 
     def jacobian(self, at: FloatArray) -> FloatArray:
         """Of the residuals, (rows, parameters)."""
-        return self._evaluate(at)[1]
+        return self.evaluate(at)[1]
 
     def rows(self) -> IntArray:
         """Which point of `seen` each of the first residuals belongs to."""
@@ -147,7 +147,8 @@ class Model:
         """Where each face's own parameters stand, but for its radius."""
         return self._columns()[1]
 
-    def _evaluate(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def evaluate(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Residuals and their Jacobian."""
         placing = placed_with(self.kinematics(at), self.seen)
         rows, jacobians = [], []
         for face, own, columns, radius in zip(

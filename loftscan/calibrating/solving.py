@@ -24,7 +24,7 @@ from loftscan.calibrating.errors import CalibrationRefused
 from loftscan.calibrating.model import IntArray, Model
 
 _STRAY = 4.5  # standard deviations: of 100 000 sound points one
-_ROUNDS = 3
+_ROUNDS = 2
 _MAD = 1.4826  # of a normal distribution
 _LONGEST_LAG = 24  # neighbours; a speckle is shorter
 _ALIKE = 0.05  # a correlation below is none
@@ -74,11 +74,17 @@ def solve(model: Model) -> Solution:
         raise CalibrationRefused(
             f"calibration: {whole} points for {len(at)} unknowns; scan more of the artefact"
         )
-    at = _descended(model, at, loss="soft_l1")
-    for _ in range(_ROUNDS):
-        model = _kept(model, at)
-        at = _descended(model, at, loss="linear")
-    residuals, jacobian = model.residuals(at), model.jacobian(at)
+    try:
+        at = _descended(model, at, loss="soft_l1")
+        for _ in range(_ROUNDS):
+            model = _kept(model, at)
+            at = _descended(model, at, loss="linear")
+    except ValueError as nonsense:  # a step that no station can stand like
+        raise CalibrationRefused(
+            f"calibration: the solve ran away ({nonsense}); see that artefact.toml is what stands"
+            " on the table, and that nothing else does"
+        ) from nonsense
+    residuals, jacobian = model.evaluate(at)
     alike = correlation(model, residuals)
     known = len(residuals) - len(model.rows())
     weight = np.concatenate([np.full(len(model.rows()), 1.0 / alike), np.ones(known)])
@@ -105,13 +111,23 @@ def correlation(model: Model, residuals: FloatArray) -> float:
 
 
 def _descended(model: Model, at: FloatArray, *, loss: Literal["linear", "soft_l1"]) -> FloatArray:
+    seen: dict[bytes, tuple[FloatArray, FloatArray]] = {}
+
+    def both(where: FloatArray) -> tuple[FloatArray, FloatArray]:
+        key = where.tobytes()
+        if key not in seen:  # the solver asks for the one after the other
+            seen.clear()
+            seen[key] = model.evaluate(where)
+        return seen[key]
+
+    def residuals(where: FloatArray) -> FloatArray:
+        return both(where)[0]
+
+    def jacobian(where: FloatArray) -> FloatArray:
+        return both(where)[1]
+
     found = least_squares(
-        model.residuals,
-        at,
-        jac=model.jacobian,
-        loss=loss,
-        x_scale="jac",
-        max_nfev=_MOST_EVALUATIONS,
+        residuals, at, jac=jacobian, loss=loss, x_scale="jac", max_nfev=_MOST_EVALUATIONS
     )
     return np.asarray(found.x, np.float64)
 

@@ -39,10 +39,11 @@ def must_hold(found: Calibrated, station: Station) -> None:
             "calibration: the axes are swapped: the part turns when the stage moves, and is lifted"
             " when the table turns; exchange their addresses or cables"
         )
-    if (against := contradiction(found.kinematics, station)) is not None:
-        raise CalibrationRefused(f"calibration: {against}; correct it and calibrate again")
+    # In this order: a scale that cannot be told contradicts nothing.
     if not found.verdict.observable:
         raise CalibrationRefused(f"calibration: not observable: {found.verdict.words()}")
+    if (against := contradiction(found.kinematics, station)) is not None:
+        raise CalibrationRefused(f"calibration: {against}; correct it and calibrate again")
     for each in found.checks:
         if not each.sound:
             off_um = _UM * (each.found_mm - each.certified_mm)
