@@ -146,7 +146,7 @@ def parse_calibration(text: str, name: str = "calibration.toml") -> Calibration:
             raise ValueError(f"{name}: [{key}] is missing; make it anew: loftscan calibrate")
     made = table.get("made")
     if not isinstance(made, datetime) or made.tzinfo is None:
-        raise ValueError(f"{name}: made: {made!r} is no time with its zone")
+        raise ValueError(f"{name}: made: {made!r} is no time with its zone")  # noqa: TRY004
     kinematics = read_table(Kinematics, table["kinematics"], name, "kinematics")
     if kinematics.kind is not Kind.CALIBRATED:
         raise ValueError(f'{name}: kinematics.kind: write "calibrated", or it is none')
@@ -203,7 +203,7 @@ _NUMERIC = ("_mm", "_deg", "_per_deg")
 
 def _texts(values: object, name: str, path: str) -> tuple[str, ...]:
     if not isinstance(values, Sequence) or isinstance(values, str):
-        raise ValueError(f"{name}: {path}: {values!r} is no list of texts")
+        raise ValueError(f"{name}: {path}: no list of texts")  # noqa: TRY004 (of a file)
     if wrong := [each for each in values if not isinstance(each, str)]:
         raise ValueError(f"{name}: {path}: {wrong[0]!r} is no text")
     return tuple(values)

@@ -72,7 +72,8 @@ def contradiction(kinematics: Kinematics, station: Station) -> str | None:
     if kinematics.table_sense is not nominal.table_sense:
         return (
             f"the table turns the part {kinematics.table_sense.value} seen from above, station.toml"
-            f' says {nominal.table_sense.value}: write table_sense = "{kinematics.table_sense.value}"'
+            f" says {nominal.table_sense.value}: write table_sense ="
+            f' "{kinematics.table_sense.value}", or turn sensor_x round if that is what is wrong'
         )
     turn = kinematics.table_deg_per_deg / nominal.table_deg_per_deg
     if abs(turn - 1.0) > limit:

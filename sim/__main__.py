@@ -19,7 +19,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NoReturn
 
-from sim.artefacts import CERTIFICATES
+from sim.artefacts import ARTEFACTS, CERTIFICATES
 from sim.axes import StageFamily, TableFamily
 from sim.cabling import Cabling
 from sim.crooked import Crookedness
@@ -153,7 +153,8 @@ def _tell(files: _Files, *, as_json: bool) -> None:
 
 def _listing() -> str:
     faults = (f"  {name:20} {meaning}\n" for name, meaning in FAULTS.items())
-    return f"parts: {', '.join(PARTS)}, or a mesh file\nfaults:\n{''.join(faults)}"
+    known = ", ".join((*PARTS, *ARTEFACTS))
+    return f"parts: {known}, or a mesh file\nfaults:\n{''.join(faults)}"
 
 
 def _count_from(least: int) -> Callable[[str], int]:

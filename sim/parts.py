@@ -142,7 +142,6 @@ PARTS: Mapping[str, Callable[[], Part]] = MappingProxyType(
         "vase": vase,
         "badly-acquired": badly_acquired,
         "blade": blade,
-        **ARTEFACTS,
     }
 )
 
@@ -157,11 +156,12 @@ def find_part(name_or_file: str) -> Part:
     OSError
         The file cannot be read.
     """
-    if name_or_file in PARTS:
-        return PARTS[name_or_file]()
+    known = {**PARTS, **ARTEFACTS}
+    if name_or_file in known:
+        return known[name_or_file]()
     path = Path(name_or_file)
     if not path.is_file():
         raise ValueError(
-            f"part {name_or_file!r}: no such file; built-in parts are {', '.join(PARTS)}"
+            f"part {name_or_file!r}: no such file; built-in parts are {', '.join(known)}"
         )
     return read_mesh(path)

@@ -143,7 +143,8 @@ def parse_artefact(text: str, name: str = "artefact.toml") -> Artefact:
         raise ValueError(f"{name}: {strange[0]}: unknown key; known here: {', '.join(known)}")
     for key in ("name", "certificate"):
         if not isinstance(table.get(key, ""), str):
-            raise ValueError(f"{name}: {key}: {table[key]!r} is no text; write it in quotes")
+            wrong = f"{name}: {key}: {table[key]!r} is no text; write it in quotes"
+            raise ValueError(wrong)  # noqa: TRY004 (of a file, not of a caller)
     found = {kind: _elements(kind, table.get(kind, {}), name) for kind in _KINDS}
     made = Artefact(
         name=str(table.get("name", "artefact")),

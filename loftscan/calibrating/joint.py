@@ -25,11 +25,12 @@ from loftscan.calibrating.artefact import Artefact
 from loftscan.calibrating.errors import CalibrationRefused
 from loftscan.calibrating.finding import assigned, find_faces, named, spacings_of
 from loftscan.calibrating.focusing import Focus, focus, thinned
-from loftscan.calibrating.model import PARAMETERS, Face, Model, Seen, Spacing
+from loftscan.calibrating.model import LENGTHS, PARAMETERS, Face, Model, Seen, Spacing
 from loftscan.calibrating.shapes import Form
 from loftscan.calibrating.solving import Solution, solve
 from loftscan.calibrating.verdict import Verdict, judge
 
+_PLACES = tuple(name for name in PARAMETERS if name not in LENGTHS)
 _FIRST_SIGMA_MM = 0.05
 _WITHIN_MM = (2.0, 1.0)
 _SIGMAS = 8.0  # of the noise: points within are an element's
@@ -190,7 +191,8 @@ def _check(
 def _settled(seen: Seen, start: Kinematics, faces: tuple[Face, ...], scans: int) -> Solution:
     """Solve and give the points out anew, within less each time."""
     sigma_mm = np.full(scans, _FIRST_SIGMA_MM)
-    solution = solve(Model(start, PARAMETERS, seen, faces, (), sigma_mm))
+    # With every length free a part may shrink to a point, which lies on any face: not at first.
+    solution = solve(Model(start, _PLACES, seen, faces, (), sigma_mm))
     for within_mm in _WITHIN_MM:
         solution = _again(seen, solution, within_mm, ())
     return solution

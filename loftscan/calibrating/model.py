@@ -6,8 +6,10 @@ A point seen at x, z with the stage at s and the table at t comes to the part by
 
 and lies off its face by f(p). With the face's normal n, and m = n turned back to the sensor's
 facing frame, the derivative by a parameter that moves a point by v there is m . v. The residual is
-f over the standard deviation that noise of one unit in every direction of the laser plane has along
-n: what of n lies in that plane.
+f / (sigma s): noise of sigma in the sensor's x and in its z has along the normal the standard
+deviation sigma s, s^2 = (m . a)^2 + (m . b)^2. Because s counts in the true mm, its derivatives
+by the sensor's scales are part of the residual's; without them noise alone makes a shrunken
+station fit better (the attenuation of errors in variables).
 """
 
 from __future__ import annotations
@@ -35,6 +37,9 @@ PARAMETERS = (
     *("stage_x_mm", "stage_y_mm", "stage_z_mm"),
     *("x_mm_per_mm", "z_mm_per_mm", "x_mm_per_z_mm"),
 )
+LENGTHS = ("stage_z_mm", "x_mm_per_mm", "z_mm_per_mm", "x_mm_per_z_mm")
+_RUN_AWAY = {name: 10.0 if name.endswith("_deg") and "per" not in name else 0.2
+             for name in PARAMETERS} | {"standoff_mm": 20.0, "side_mm": 20.0}  # fmt: skip
 _LEAST_IN_PLANE = 0.05  # a face that lies in the sheet has no distance in it
 
 
@@ -155,9 +160,11 @@ class Model:
             self.faces, self.own(at), *self._columns()[1:], strict=True
         ):
             gap, normal, by_own = distances(face.shape, own, placing.part_mm[face.rows])
-            weight = 1.0 / (self.sigma_mm[face.scan] * placing.in_plane(normal, face.rows))
+            spread, by_spread = placing.spread(normal, face.rows, self.free)
+            weight = 1.0 / (self.sigma_mm[face.scan] * spread)
             whole = np.zeros((len(gap), len(at)))
-            whole[:, : len(self.free)] = placing.by_kinematics(normal, face.rows, self.free)
+            moved = placing.by_kinematics(normal, face.rows, self.free)
+            whole[:, : len(self.free)] = moved - gap[:, None] * by_spread
             whole[:, columns] = by_own[:, : columns.stop - columns.start]
             if radius is not None:
                 whole[:, radius] = by_own[:, -1]
@@ -167,9 +174,18 @@ class Model:
         return np.concatenate([*rows, known]), np.concatenate([*jacobians, by_known])
 
     def _known(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Certified spacings and radii as observations of their own."""
+        """Certified spacings and radii as observations of their own.
+
+        And that no station stands 20 mm, 10 degrees or 20 % from where the solve begins: it is far
+        below what any point tells, and keeps what nothing tells from running away.
+        """
         gaps: list[float] = []
         rows: list[FloatArray] = []
+        for column, name in enumerate(self.free):
+            row = np.zeros(len(at))
+            row[column] = 1.0 / _RUN_AWAY[name]
+            gaps.append(float(row[column]) * (at[column] - float(getattr(self.start, name))))
+            rows.append(row)
         faces, columns, radii = self._columns()
         told: set[str] = set()
         for face, radius in zip(faces, radii, strict=True):
@@ -218,11 +234,29 @@ class Placing:
     arm_mm: FloatArray  # (n, 3), from the sensor's origin, facing
     back_rad: FloatArray  # (n,), from the part to the facing frame
 
-    def in_plane(self, normal: FloatArray, rows: IntArray) -> FloatArray:
-        """What of unit normals (m, 3) lies in the laser plane, (m,)."""
+    def spread(
+        self, normal: FloatArray, rows: IntArray, free: Sequence[str]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Standard deviation along unit normals (m, 3) of noise of 1 in x and z, (m,).
+
+        And its derivatives by the parameters, (m, k), over itself: where all lengths shrink the
+        noise shrinks with them, and no fit becomes better by it. That a normal turns is left out;
+        it changes nothing to first order.
+        """
         facing = self._facing(normal, rows)
-        out = facing @ sensor_rotation(self.kinematics)[:, 2]
-        return np.sqrt(np.maximum(1.0 - out**2, _LEAST_IN_PLANE**2))
+        axes = sensor_axes(self.kinematics)
+        by_x, by_z = facing @ axes[0], facing @ axes[1]
+        square = np.maximum(by_x**2 + by_z**2, _LEAST_IN_PLANE**2)
+        rotation = sensor_rotation(self.kinematics)
+        right = self.kinematics.x_sign * (facing @ rotation[:, 1])
+        columns = {
+            "x_mm_per_mm": by_x * right,
+            "z_mm_per_mm": -by_z * (facing @ rotation[:, 0]),
+            "x_mm_per_z_mm": by_z * right,
+        }
+        none = np.zeros(len(facing))
+        change = [columns.get(name, none) / square for name in free]
+        return np.sqrt(square), np.column_stack([*change, none])[:, : len(free)]
 
     def by_kinematics(self, normal: FloatArray, rows: IntArray, free: Sequence[str]) -> FloatArray:
         """Derivatives of the distances of some points by kinematic parameters, (m, k)."""

@@ -28,6 +28,7 @@ _ROUNDS = 2
 _MAD = 1.4826  # of a normal distribution
 _LONGEST_LAG = 24  # neighbours; a speckle is shorter
 _ALIKE = 0.05  # a correlation below is none
+_LEAST_EIGENVALUE = 1e-15  # rounding, where nothing is known
 _MOST_EVALUATIONS = 200
 
 
@@ -88,7 +89,7 @@ def solve(model: Model) -> Solution:
     alike = correlation(model, residuals)
     known = len(residuals) - len(model.rows())
     weight = np.concatenate([np.full(len(model.rows()), 1.0 / alike), np.ones(known)])
-    covariance = np.linalg.pinv((jacobian * weight[:, None]).T @ jacobian, hermitian=True)
+    covariance = _inverse((jacobian * weight[:, None]).T @ jacobian)
     stray = whole - len(model.rows())
     return Solution(model, at, residuals, jacobian, alike, stray, covariance)
 
@@ -130,6 +131,14 @@ def _descended(model: Model, at: FloatArray, *, loss: Literal["linear", "soft_l1
         residuals, at, jac=jacobian, loss=loss, x_scale="jac", max_nfev=_MOST_EVALUATIONS
     )
     return np.asarray(found.x, np.float64)
+
+
+def _inverse(normal: FloatArray) -> FloatArray:
+    """Of a normal matrix whose columns have units of their own."""
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    values, vectors = np.linalg.eigh(normal / np.outer(size, size))
+    spread = vectors / np.sqrt(np.maximum(values, _LEAST_EIGENVALUE))
+    return np.asarray((spread @ spread.T) / np.outer(size, size))
 
 
 def _kept(model: Model, at: FloatArray) -> Model:

@@ -125,7 +125,7 @@ def _combination(names: tuple[str, ...], parts: FloatArray, sd: float) -> Combin
 
 def _remedy(names: list[str]) -> str:
     if any(name.startswith("stage_") for name in names):
-        scales = {"stage_z_mm", "x_mm_per_mm", "z_mm_per_mm"}
+        scales = {"stage_z_mm", "x_mm_per_mm", "z_mm_per_mm", "standoff_mm", "side_mm"}
         return _LENGTH if scales >= set(names) else _STAGE
     if any(name in ("x_mm_per_mm", "z_mm_per_mm") for name in names):
         return _LENGTH

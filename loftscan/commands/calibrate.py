@@ -45,7 +45,7 @@ def calibrate(
     json_lines: JsonLines = False,
     debug: Debug = False,
 ) -> None:
-    """Find where the laser stands, from an artefact; refuses what cannot be told."""
+    """Find where the laser stands, from scans of an artefact."""
 
     def work() -> None:
         from loftscan.calibrating.artefact import read_artefact

@@ -1,4 +1,4 @@
-"""Artefacts before the naive station, as values and as the artefact.toml that says what is known."""
+"""Artefacts before the naive station, as values and as what artefact.toml says of them."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def spacing_mm(one: int, other: int) -> float:
     return float(np.linalg.norm(np.array(BALLS[one].centre) - np.array(BALLS[other].centre)))
 
 
-def balls_toml(held_out: bool = True, off_mm: float = 0.0) -> str:
+def balls_toml(off_mm: float = 0.0) -> str:
     """Three balls, a plate and two spacings, the second held out and, if wanted, wrong."""
     return f"""
 name = "balls"
@@ -52,7 +52,7 @@ distance_mm = {spacing_mm(0, 1)}
 one = "a"
 other = "c"
 distance_mm = {spacing_mm(0, 2) + off_mm}
-held_out = {str(held_out).lower()}
+held_out = true
 """
 
 
