@@ -143,10 +143,11 @@ def parse_calibration(text: str, name: str = "calibration.toml") -> Calibration:
         )
     for key in _TABLES:
         if not isinstance(table.get(key), Mapping):
-            raise ValueError(f"{name}: [{key}] is missing; make it anew: loftscan calibrate")
+            wrong = f"{name}: [{key}] is missing; make it anew: loftscan calibrate"
+            raise ValueError(wrong)  # noqa: TRY004 (of a file, not of a caller)
     made = table.get("made")
     if not isinstance(made, datetime) or made.tzinfo is None:
-        raise ValueError(f"{name}: made: {made!r} is no time with its zone")  # noqa: TRY004
+        raise ValueError(f"{name}: made: {made!r} is no time with its zone")
     kinematics = read_table(Kinematics, table["kinematics"], name, "kinematics")
     if kinematics.kind is not Kind.CALIBRATED:
         raise ValueError(f'{name}: kinematics.kind: write "calibrated", or it is none')

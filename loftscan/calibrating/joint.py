@@ -35,6 +35,7 @@ _FIRST_SIGMA_MM = 0.05
 _WITHIN_MM = (2.0, 1.0)
 _SIGMAS = 8.0  # of the noise: points within are an element's
 _LEAST_WITHIN_MM = 0.1
+_TRIES = 3
 _ROUGH_POINTS = 5_000
 _MOST_POINTS = 60_000
 
@@ -115,23 +116,29 @@ def calibrate(
     focused = focus(seen, nominal)
     if focused.planes_swapped or focused.axes_swapped:
         return _unsolved(seen, focused, whole)
-    progress("find")
-    rng = np.random.default_rng(seed)
-    scans = range(int(seen.scan.max()) + 1)
-    rough = thinned(seen, _ROUGH_POINTS)
-    faces = tuple(
-        face
-        for scan in scans
-        for face in find_faces(rough, scan, focused.kinematics, artefact, rng)
-    )
-    progress("solve")
-    solution = _settled(rough, focused.kinematics, faces, len(scans))
-    if artefact.spheres:
-        faces = named(_at(solution), artefact)
-        solution = _settled(rough, solution.kinematics, faces, len(scans))
+    progress("find and solve")
+    solution = _found(thinned(seen, _ROUGH_POINTS), focused.kinematics, artefact, seed)
     held = spacings_of(artefact, held_out=False)
     solution = _finished(seen, solution, held)
     return Calibrated(solution, judge(solution), focused, check(solution, artefact), whole)
+
+
+def _found(seen: Seen, start: Kinematics, artefact: Artefact, seed: int) -> Solution:
+    """Elements, roughly solved and named; chance draws them, so that it may draw again."""
+    for tries_left in reversed(range(_TRIES)):
+        rng = np.random.default_rng([seed, tries_left])
+        scans = range(int(seen.scan.max()) + 1)
+        try:
+            faces = tuple(f for i in scans for f in find_faces(seen, i, start, artefact, rng))
+            solution = _settled(seen, start, faces, len(scans))
+            if not artefact.spheres:
+                return solution
+            faces = named(_at(solution), artefact)
+            return _settled(seen, solution.kinematics, faces, len(scans))
+        except CalibrationRefused:
+            if not tries_left:
+                raise
+    raise AssertionError("no try was left, and none refused")
 
 
 def held_to(

@@ -33,7 +33,7 @@ def spacing_mm(one: int, other: int) -> float:
     return float(np.linalg.norm(np.array(BALLS[one].centre) - np.array(BALLS[other].centre)))
 
 
-def balls_toml(off_mm: float = 0.0) -> str:
+def balls_toml(off_mm: float = 0.0, near_off_mm: float = 0.0) -> str:
     """Three balls, a plate and two spacings, the second held out and, if wanted, wrong."""
     return f"""
 name = "balls"
@@ -47,7 +47,7 @@ radius_mm = 10.0
 [spacings.near]
 one = "a"
 other = "b"
-distance_mm = {spacing_mm(0, 1)}
+distance_mm = {spacing_mm(0, 1) + near_off_mm}
 [spacings.far]
 one = "a"
 other = "c"
@@ -56,8 +56,12 @@ held_out = true
 """
 
 
-def balls() -> Artefact:
-    return parse_artefact(balls_toml())
+def balls(certificate_seed: int | None = None) -> Artefact:
+    """As certified: exactly, or to the 1 um that the file says by default."""
+    if certificate_seed is None:
+        return parse_artefact(balls_toml())
+    off_mm = np.random.default_rng([certificate_seed, 1]).normal(0.0, 0.001, 2)
+    return parse_artefact(balls_toml(*(float(each) for each in off_mm)))
 
 
 def artefact(text: str) -> Artefact:

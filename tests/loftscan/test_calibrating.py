@@ -58,7 +58,7 @@ def test_the_jacobian_is_the_slope_of_the_residuals() -> None:
     shapes = (
         (Shape(Form.SPHERE, np.eye(3), np.zeros(3)), np.array([1.0, 2.0, 3.0, 9.0])),
         (Shape(Form.PLANE, tilted, np.zeros(3)), np.array([0.1, -0.2, 5.0])),
-        (Shape(Form.CYLINDER, tilted, np.array([1.0, 2.0, 0.0])), rng.normal(0, 0.2, 5) + 5.0 * np.eye(5)[4]),
+        (Shape(Form.CYLINDER, tilted, np.ones(3)), rng.normal(0.0, 0.2, 5) + 5.0 * np.eye(5)[4]),
         (Shape(Form.FRUSTUM, tilted, np.zeros(3), block), rng.normal(0.0, 0.3, 6)),
     )  # fmt: skip
     for shape, own in shapes:
