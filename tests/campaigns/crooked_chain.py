@@ -12,6 +12,7 @@ or the vase's rms is more than 1.3 times that of the known station.
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 import sys
 import tempfile
@@ -81,10 +82,15 @@ def taken(
             reasons = np.where(seen.seen, Reason.MEASURED, Reason.NO_RETURN)
             profiles.append(
                 Profile(
-                    seen.counts, (sensor.x_mm_per_count, sensor.z_mm_per_count),
-                    (sensor.x_offset_mm, sensor.z_offset_mm), reasons, seen.intensity,
-                    0.0, 0, stop,
-                )  # fmt: skip
+                    seen.counts,
+                    (sensor.x_mm_per_count, sensor.z_mm_per_count),
+                    (sensor.x_offset_mm, sensor.z_offset_mm),
+                    reasons,
+                    seen.intensity,
+                    0.0,
+                    0,
+                    stop,
+                )
             )
             poses.append(Pose(turn_rad, float(stage_mm), 0.0))
         yield Sweep(index, tuple(profiles), tuple(poses))
@@ -103,7 +109,7 @@ def radius_mm(points_mm: np.ndarray) -> tuple[float, float]:
     """Radius of an upright circle and its standard deviation, algebraically and once refined."""
     x, y = points_mm[:, 0], points_mm[:, 1]
     a = np.column_stack([2 * x, 2 * y, np.ones(len(x))])
-    cx, cy, c = np.linalg.lstsq(a, x * x + y * y, rcond=None)[0]
+    cx, cy, _c = np.linalg.lstsq(a, x * x + y * y, rcond=None)[0]
     for _ in range(3):
         away = np.hypot(x - cx, y - cy)
         radius = away.mean()
@@ -128,7 +134,7 @@ def gauges(found: Kinematics, off: Crookedness) -> list[tuple[str, float, float]
         radius, sd = radius_mm(part_points(sweep, found))
         steps.append((radius, true_mm, sd))
         rows.append((f"step, radius {true_mm:g}", radius - true_mm, sd))
-    for (one, true_one, sd), (two, true_two, sd_two) in zip(steps, steps[1:], strict=False):
+    for (one, true_one, sd), (two, true_two, sd_two) in itertools.pairwise(steps):
         off_mm = (one - two) - (true_one - true_two)
         rows.append((f"step {true_one:g} to {true_two:g}", off_mm, math.hypot(sd, sd_two)))
     return rows
