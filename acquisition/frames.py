@@ -1,20 +1,23 @@
-"""From the sensor's plane to the part, for ring plans with a nominal calibration.
+"""From the sensor's plane to the part: the station's whole kinematic chain, arrays in, arrays out.
 
-The laser plane is horizontal and meets the table's axis; the stage lifts the sensor (or the plate)
-and with it the plane. Drawn in docs/frames.md::
+Drawn, with every sign, in docs/frames.md; as NXtransformations in `acquisition.transformations`::
 
     seen from above                 seen from the side
 
          y                               z
-         |                               |    ......... laser plane
+         |                               |    ......... laser plane, pitched and rolled a little
          |  part                         |  part      <====[S] on the stage
          o ------ x  <====[S]            |            z = height_mm ± stage_mm
        table axis      |              ---o--- plate ------ x
              standoff_mm, side_mm
 
-Station frame: origin on the table's axis at the plate, z up along the axis, x towards the sensor
-(turned by azimuth_deg). Part frame: the station's, turned with the table. Angles count
+Station frame: z up along the table's axis, origin on it, x towards the sensor (turned by
+azimuth_deg); so the axis's tilt and offset are told as the sensor's pose, the stage's direction as
+a vector in this frame. Part frame: the station's, turned with the table. Angles count
 counter-clockwise seen from above.
+
+Two of the sensor's six degrees of freedom are a choice (gauge): a turn around the axis is
+`azimuth_deg`, a shift along it `height_mm`. A calibration keeps what station.toml says of them.
 """
 
 from __future__ import annotations
@@ -30,11 +33,16 @@ from acquisition.arrays import FloatArray
 from acquisition.poses import Sweep
 from acquisition.settings import Key
 
+_SHORTEST_MM = 1e-3  # true, of a reported mm
+_IN_PLANE = 1e-6  # volume that three unit steps span
+
 
 class Kind(Enum):
     """Where the kinematics come from."""
 
     NOMINAL = "nominal"  # measured with a ruler, written by hand
+    CALIBRATED = "calibrated"  # solved from an artefact by `loftscan calibrate`
+    SIMULATED = "simulated"  # as the simulator stands: known, there is nothing to calibrate
 
 
 class Turning(Enum):
@@ -59,10 +67,25 @@ class Side(Enum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SecondStage:
+    """A rail that carries the sensor as well, set by hand and read on its scale."""
+
+    position_mm: Annotated[float, Key("where its carriage stands, on its scale")]
+    x_mm: Annotated[float, Key("the sensor's way outward for a mm of its scale")] = 1.0
+    y_mm: Annotated[float, Key("likewise across, to the right of somebody at the sensor")] = 0.0
+    z_mm: Annotated[float, Key("likewise up")] = 0.0
+
+    def __post_init__(self) -> None:
+        _must_point("second_stage", (self.x_mm, self.y_mm, self.z_mm))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Kinematics:
     """How the axes and the sensor stand to each other."""
 
-    kind: Annotated[Kind, Key("nominal: as written here; a calibration replaces it")]
+    kind: Annotated[
+        Kind, Key("nominal: by a ruler, a calibration replaces it; calibrated; simulated")
+    ]
     table_sense: Annotated[
         Turning,
         Key("counter-clockwise or clockwise: the part's turn for growing angles, seen from above"),
@@ -84,6 +107,27 @@ class Kinematics:
     azimuth_deg: Annotated[
         float, Key("where the sensor stands around the axis, counter-clockwise from x")
     ] = 0.0
+    pitch_deg: Annotated[
+        float, Key("how steeply the beam rises on its way", at_least=-60.0, at_most=60.0)
+    ] = 0.0
+    roll_deg: Annotated[
+        float, Key("the sheet's turn around the beam: its right goes up; 90: meridians")
+    ] = 0.0
+    table_deg_per_deg: Annotated[float, Key("true turn for a reported one", above=0.0)] = 1.0
+    stage_x_mm: Annotated[
+        float, Key("true way for a reported mm of the stage, outward; its sense is stage_sense")
+    ] = 0.0
+    stage_y_mm: Annotated[float, Key("likewise along the station's y")] = 0.0
+    stage_z_mm: Annotated[float, Key("likewise along the axis")] = 1.0
+    x_mm_per_mm: Annotated[float, Key("true for a reported mm of the sensor's x", above=0.0)] = 1.0
+    z_mm_per_mm: Annotated[float, Key("true for a reported mm of the sensor's z", above=0.0)] = 1.0
+    x_mm_per_z_mm: Annotated[float, Key("shear: added to x for each mm of the sensor's z")] = 0.0
+    second_stage: Annotated[
+        SecondStage | None, Key("a rail under the sensor, set by hand; absent: none")
+    ] = None
+
+    def __post_init__(self) -> None:
+        _must_point("stage_z_mm", (self.stage_x_mm, self.stage_y_mm, self.stage_z_mm))
 
     @property
     def table_sign(self) -> int:
@@ -100,6 +144,42 @@ class Kinematics:
         """+1 when the sensor's x points along the station's y (azimuth 0)."""
         return 1 if self.sensor_x is Side.RIGHT else -1
 
+    @property
+    def level(self) -> bool:
+        """Whether all points of a ring lie at one height."""
+        return self.pitch_deg == 0.0 and self.roll_deg == 0.0
+
+
+def sensor_axes(kinematics: Kinematics) -> FloatArray:
+    """Steps in the station, before azimuth, of a mm of the sensor's x and of its z: (2, 3)."""
+    rotation = sensor_rotation(kinematics)
+    right = kinematics.x_sign * rotation[:, 1]
+    along = kinematics.x_mm_per_z_mm * right - kinematics.z_mm_per_mm * rotation[:, 0]
+    return np.stack([kinematics.x_mm_per_mm * right, along])
+
+
+def sensor_rotation(kinematics: Kinematics) -> FloatArray:
+    """Pitch after roll, (3, 3): takes -x to the beam and y to the sheet's right."""
+    pitch, roll = math.radians(kinematics.pitch_deg), math.radians(kinematics.roll_deg)
+    cp, sp, cr, sr = math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll)
+    pitched = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
+    rolled = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    return np.asarray(pitched @ rolled)
+
+
+def stage_step(kinematics: Kinematics) -> FloatArray:
+    """Step of the sensor on the part, before azimuth, for a reported mm of the stage: (3,)."""
+    step_mm = (kinematics.stage_x_mm, kinematics.stage_y_mm, kinematics.stage_z_mm)
+    return kinematics.stage_sign * np.array(step_mm, np.float64)
+
+
+def sensor_origin(kinematics: Kinematics) -> FloatArray:
+    """Where the sensor's x = z = 0 stands at stage 0, before azimuth: (3,)."""
+    origin_mm = np.array([kinematics.standoff_mm, -kinematics.side_mm, kinematics.height_mm])
+    if (rail := kinematics.second_stage) is None:
+        return origin_mm
+    return origin_mm + rail.position_mm * np.array([rail.x_mm, rail.y_mm, rail.z_mm])
+
 
 def sensor_to_station(
     points_mm: FloatArray, stage_mm: FloatArray, kinematics: Kinematics
@@ -108,36 +188,47 @@ def sensor_to_station(
 
     Without azimuth the beam runs along -x, so that its left is -y.
     """
-    along = kinematics.standoff_mm - points_mm[:, 1]
-    across = kinematics.x_sign * points_mm[:, 0] - kinematics.side_mm
-    height = kinematics.height_mm + kinematics.stage_sign * np.asarray(stage_mm, np.float64)
-    facing = np.column_stack([along, across, height])
+    along_stage = np.asarray(stage_mm, np.float64)[:, None] * stage_step(kinematics)
+    facing = sensor_origin(kinematics) + points_mm @ sensor_axes(kinematics) + along_stage
     return _turned(facing, np.full(len(facing), math.radians(kinematics.azimuth_deg)))
 
 
 def station_to_sensor(
     points_mm: FloatArray, kinematics: Kinematics
 ) -> tuple[FloatArray, FloatArray]:
-    """Invert `sensor_to_station`: x, z of the laser plane (n, 2) and the stage positions (n,)."""
+    """Invert `sensor_to_station`: x, z of the laser plane (n, 2) and the stage positions (n,).
+
+    Raises
+    ------
+    ValueError
+        The stage moves within the laser plane, so that no position puts a point into it.
+    """
     facing = _turned(points_mm, np.full(len(points_mm), -math.radians(kinematics.azimuth_deg)))
-    x_mm = kinematics.x_sign * (facing[:, 1] + kinematics.side_mm)
-    z_mm = kinematics.standoff_mm - facing[:, 0]
-    stage_mm = kinematics.stage_sign * (facing[:, 2] - kinematics.height_mm)
-    return np.column_stack([x_mm, z_mm]), np.asarray(stage_mm)
+    steps = np.vstack([sensor_axes(kinematics), stage_step(kinematics)])
+    if abs(np.linalg.det(steps)) < _IN_PLANE:
+        raise ValueError("stage_z_mm: the stage moves within the laser plane, not across it")
+    found = np.linalg.solve(steps.T, (facing - sensor_origin(kinematics)).T).T
+    return np.asarray(found[:, :2]), np.asarray(found[:, 2])
+
+
+def true_turn(kinematics: Kinematics) -> float:
+    """Radians that the part turns, counter-clockwise, for a reported one."""
+    return kinematics.table_sign * kinematics.table_deg_per_deg
 
 
 def station_to_part(
     points_mm: FloatArray, table_rad: FloatArray, kinematics: Kinematics
 ) -> FloatArray:
     """Points (n, 3) seen at table angles (n,) to the part: the table's turn undone."""
-    return _turned(points_mm, -kinematics.table_sign * np.asarray(table_rad, np.float64))
+    turn_rad = true_turn(kinematics) * np.asarray(table_rad, np.float64)
+    return _turned(points_mm, -turn_rad)
 
 
 def part_to_station(
     points_mm: FloatArray, table_rad: FloatArray, kinematics: Kinematics
 ) -> FloatArray:
     """Points (n, 3) of the part to where they stand at table angles (n,)."""
-    return _turned(points_mm, kinematics.table_sign * np.asarray(table_rad, np.float64))
+    return _turned(points_mm, true_turn(kinematics) * np.asarray(table_rad, np.float64))
 
 
 def part_points(sweep: Sweep, kinematics: Kinematics) -> FloatArray:
@@ -154,6 +245,9 @@ def part_points(sweep: Sweep, kinematics: Kinematics) -> FloatArray:
 def ring_plane(sweep: Sweep, kinematics: Kinematics) -> tuple[FloatArray, FloatArray]:
     """Origin (3,) and axes (3, 3: rows x, y, normal) of a ring's plane in the part frame.
 
+    A sheet that is not level cuts a shallow cone out of a whole turn; its plane is then the one
+    across the axis at the mean height of the points.
+
     Raises
     ------
     ValueError
@@ -162,8 +256,16 @@ def ring_plane(sweep: Sweep, kinematics: Kinematics) -> tuple[FloatArray, FloatA
     if not sweep.poses:
         raise ValueError(f"sweep {sweep.index}: no pose, so the height of its plane is unknown")
     stage_mm = float(np.mean([pose.stage_mm for pose in sweep.poses]))
-    height_mm = kinematics.height_mm + kinematics.stage_sign * stage_mm
+    if kinematics.level or not len(points_mm := part_points(sweep, kinematics)):
+        height_mm = float(sensor_origin(kinematics)[2] + stage_mm * stage_step(kinematics)[2])
+    else:
+        height_mm = float(points_mm[:, 2].mean())
     return np.array([0.0, 0.0, height_mm]), np.eye(3)
+
+
+def _must_point(name: str, step_mm: tuple[float, float, float]) -> None:
+    if math.hypot(*step_mm) < _SHORTEST_MM:
+        raise ValueError(f"{name}: it moves nowhere; write 1 for the way it moves")
 
 
 def _turned(points_mm: FloatArray, angle_rad: FloatArray) -> FloatArray:

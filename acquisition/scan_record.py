@@ -38,6 +38,9 @@ class ScanRecord:
     software: str  # such as "loftscan 0.1.0"
     created: str  # ISO 8601, an argument like every time
     state: State = State.SCANNING
+    calibrated_by: str = "station.toml"  # or the calibration's file
+    calibration_file_sha256: str = ""
+    override: str = ""  # the operator's words, where the calibration was refused and used
 
     @property
     def indices(self) -> range:
@@ -64,6 +67,9 @@ def encode_record(record: ScanRecord) -> bytes:
         "calibration": {
             "sha256": calibration_hash(record.calibration),
             "values": as_table(record.calibration),
+            "from": record.calibrated_by,
+            "file_sha256": record.calibration_file_sha256,
+            "override": record.override,
         },
         "plan": as_table(record.plan),
         "station": as_table(record.station),
@@ -97,6 +103,9 @@ def decode_record(data: bytes) -> ScanRecord:
         software=str(document["software"]),
         created=str(document["created"]),
         state=State(document["state"]),
+        calibrated_by=str(kept.get("from", "station.toml")),  # absent from older scans
+        calibration_file_sha256=str(kept.get("file_sha256", "")),
+        override=str(kept.get("override", "")),
     )
     rest = {key: value for key, value in document.items() if key != "sha256"}
     if document.get("sha256", _hash(rest)) != _hash(rest):

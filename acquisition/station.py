@@ -265,6 +265,21 @@ LaserSettings = RelayLaser | GrblLaser | HokuyoLaser | NoLaserSwitch
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationSettings:
+    """Which calibration a scan needs."""
+
+    file: Annotated[str, Key("beside station.toml, or with a path")] = "calibration.toml"
+    max_age_days: Annotated[float, Key("an older one is refused", above=0.0)] = 30.0
+    scale_limit_percent: Annotated[
+        float,
+        Key("how far a solved scale may be from what is written here", above=0.0, at_most=50.0),
+    ] = 5.0
+    drift_limit_mm: Annotated[
+        float, Key("how far `loftscan calibrate --check` may find an artefact off", above=0.0)
+    ] = 0.02
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Station:
     """Everything station.toml says."""
 
@@ -277,6 +292,9 @@ class Station:
         Key('what switches the laser: "relay", "grbl", "hokuyo", or "none" (nobody can leave it)'),
     ]
     kinematics: Annotated[Kinematics, Key("how axes and sensor stand; see docs/frames.md")]
+    calibration: Annotated[
+        CalibrationSettings, Key("what a scan asks of it; see docs/calibration.md")
+    ] = CalibrationSettings()
 
     def __post_init__(self) -> None:
         match self.laser, self.profiler:

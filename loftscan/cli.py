@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 
 from loftscan.commands.bench import home, jog, profile, stop
+from loftscan.commands.calibrate import calibrate
 from loftscan.commands.compare import compare
 from loftscan.commands.demo import demo
 from loftscan.commands.devices import devices
@@ -53,7 +54,20 @@ def _about(
     """Turn the slices of a scanning station into one watertight NURBS surface."""
 
 
-for each in (demo, init, devices, home, jog, stop, profile, scan, reconstruct, section, compare):
+for each in (
+    demo,
+    init,
+    devices,
+    home,
+    jog,
+    stop,
+    profile,
+    calibrate,
+    scan,
+    reconstruct,
+    section,
+    compare,
+):
     app.command()(each)
 app.command(context_settings=SETTINGS)(sim)
 app.add_typer(scans, name="scans", context_settings={"help_option_names": ["-h", "--help"]})

@@ -15,6 +15,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from acquisition.calibration_in_force import InForce
 from acquisition.durable import temporary
 from acquisition.errors import StorageFailed
 from acquisition.folder_lock import LOCK
@@ -48,6 +49,7 @@ class Prospect:
     missing: tuple[int, ...]
     cost: Estimate  # of the missing slices
     free_bytes: int
+    in_force: InForce
 
     def begin(self, created: datetime) -> ScanWriter:
         """Make the folder, or open the one that is resumed."""
@@ -56,17 +58,31 @@ class Prospect:
         record = ScanRecord(
             station=self.station,
             plan=self.plan,
-            calibration=self.station.kinematics,
+            calibration=self.in_force.kinematics,
             software=f"loftscan {version('loftscan')}",
             created=created.astimezone(UTC).isoformat(timespec="seconds"),
+            calibrated_by=self.in_force.source,
+            calibration_file_sha256=self.in_force.calibration_sha256,
+            override=self.in_force.override,
         )
         return ScanFolder.create(self.out, record)
 
 
 def prospect(
-    station: Station, plan: Plan, out: Path, *, resume: bool, plan_name: str = "plan.toml"
+    station: Station,
+    plan: Plan,
+    out: Path,
+    *,
+    resume: bool,
+    plan_name: str = "plan.toml",
+    in_force: InForce | None = None,
 ) -> Prospect:
     """Refuse what cannot work, before anything is opened or moves.
+
+    Parameters
+    ----------
+    in_force
+        The calibration to scan with; what station.toml says when absent.
 
     Raises
     ------
@@ -79,18 +95,20 @@ def prospect(
         The disk is too small, or may not be written.
     """
     check_plan(plan, station, plan_name)
+    held = in_force or InForce(station.kinematics, "station.toml")
     kept: tuple[int, ...] = ()
     missing = tuple(range(plan.ring.count))
     if resume:
         folder = ScanFolder.open(out)
         _must_be_the_same(folder, station, plan)
+        _must_be_calibrated_the_same(folder, held)
         # Damaged slices count as missing: the resume sets them aside and takes them again.
         kept, missing = (found := folder.verify()).sound, found.missing
     else:
         _refuse_rest(out)
     cost = _share(estimate(plan, station), len(missing))
     free_bytes = _room(out, cost.bytes_at_most)
-    return Prospect(station, plan, out, resume, kept, missing, cost, free_bytes)
+    return Prospect(station, plan, out, resume, kept, missing, cost, free_bytes, held)
 
 
 def _refuse_rest(out: Path) -> None:
@@ -126,6 +144,18 @@ def _must_be_the_same(folder: ScanFolder, station: Station, plan: Plan) -> None:
                 f"{folder.path}: was begun on a station that stood otherwise: {key} was"
                 f" {before.get(key)}, is {now.get(key)}; correct the station file, or scan anew"
                 " with another --out"
+            )
+
+
+def _must_be_calibrated_the_same(folder: ScanFolder, held: InForce) -> None:
+    before = dict(_leaves(as_table(folder.record().calibration)))
+    now = dict(_leaves(as_table(held.kinematics)))
+    for key in (*before, *now):
+        if before.get(key) != now.get(key):
+            raise ValueError(
+                f"{folder.path}: was begun with another calibration: {key} was {before.get(key)},"
+                f" is {now.get(key)}; put back the one it was begun with, or scan anew with"
+                " another --out"
             )
 
 

@@ -16,6 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Self
 
+from acquisition.calibration_in_force import in_force
 from acquisition.errors import Stopped
 from acquisition.frames import Kinematics
 from acquisition.loop_closure import Closure
@@ -94,6 +95,7 @@ def scan(
     resume: bool = False,
     part: PartStands = PartStands.ANYWHERE,
     attendance: Attendance = Attendance.NOBODY,
+    override: str | None = None,
     progress: Callable[[Progress], None] = lambda _: None,
     compared: Callable[[Closure], None] = lambda _: None,
 ) -> Scan:
@@ -112,6 +114,8 @@ def scan(
         Needed to resume where the table's zero is where it stands when it is homed.
     attendance
         Whether somebody stays at the station: needed for a laser that no watchdog turns off.
+    override
+        Why to scan without a calibration that holds; the words are kept in the scan's record.
     progress
         Told after every stop of the table.
     compared
@@ -120,13 +124,15 @@ def scan(
     Raises
     ------
     ValueError, AcquisitionError
-        At once: the plan leaves the soft limits, the folder is there or does not fit the disk.
+        At once: the plan leaves the soft limits, there is no calibration that holds, the folder is
+        there or does not fit the disk.
     """
     wanted = plan if isinstance(plan, Plan) else read_plan(Path(plan))
     name = "plan" if isinstance(plan, Plan) else str(plan)
     check_plan(wanted, station.settings, name)
     must_be_attended(station.devices.guarantee, attendance)
     station.devices.safety.attend(attended=attendance is Attendance.PRESENT)
+    held = in_force(station.settings, station.folder, datetime.now(UTC), override=override)
     stop = StopRequest()
 
     station.end_work()
@@ -136,7 +142,9 @@ def scan(
                 raise ValueError("resume needs out, the .scan folder to go on with")
             sweeps = take(station.devices, wanted, stop=stop, part=part, progress=progress)
         else:
-            here = prospect(station.settings, wanted, Path(out), resume=resume, plan_name=name)
+            here = prospect(
+                station.settings, wanted, Path(out), resume=resume, plan_name=name, in_force=held
+            )
             with station.attention.at_work(stop):
                 writer = keeping.enter_context(begin(here, station.devices, stop))
             missing = take_missing(
@@ -144,8 +152,7 @@ def scan(
                 progress=progress, compared=compared,
             )  # fmt: skip
             sweeps = _kept(missing, writer)
-        kinematics = station.settings.kinematics
-        made = Scan(sweeps, wanted, kinematics, stop, station.attention, keeping.pop_all())
+        made = Scan(sweeps, wanted, held.kinematics, stop, station.attention, keeping.pop_all())
     station.begin(made)
     return made
 

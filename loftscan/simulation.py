@@ -86,6 +86,7 @@ def simulate(
     profiler: str | None = None,
     faults: str | Sequence[str] = (),
     laser: str | None = None,
+    crooked: bool = False,
     out: str | os.PathLike[str] | None = None,
 ) -> Iterator[Simulated]:
     """Serve a simulated station while the block lasts.
@@ -108,6 +109,9 @@ def simulate(
     laser
         What switches the laser: ``"turck"`` by default, ``"plain"``, ``"grbl"``, ``"none"`` and
         others; `loftscan sim --help` has them.
+    crooked
+        It stands otherwise than its station.toml says (axis tilted and aside, table scale 3 % off,
+        sheet yawed), so that it must be calibrated.
     out
         Where its files go; by default a folder that goes with the block.
 
@@ -125,6 +129,7 @@ def simulate(
     }  # fmt: skip
     chosen = [each for name, value in options.items() if value is not None
               for each in (name, str(value))]  # fmt: skip
+    chosen += ["--crooked"] if crooked else []
     with tempfile.TemporaryDirectory(prefix="loftscan-sim-") as own:
         said = Path(own) / "said.txt"
         with said.open("wb") as errors:

@@ -71,7 +71,8 @@ class Closes(Protocol):
 class Station:
     """A station whose links are open; made by `Station.open`."""
 
-    def __init__(self, devices: OpenStation, attention: Attention) -> None:
+    def __init__(self, devices: OpenStation, attention: Attention, folder: Path) -> None:
+        self.folder = folder  # where its calibration lies
         self._devices = devices
         self._attention = attention
         self._under_way: Closes | None = None
@@ -94,10 +95,11 @@ class Station:
             A device is not there or said no.
         """
         settings = station if isinstance(station, Settings) else read_station(Path(station))
+        folder = Path() if isinstance(station, Settings) else Path(station).parent
         attention = Attention()
         devices = open_station(settings, links=links)
         with attention.listening(), attention.shielding(devices) as opened:
-            found = cls(opened, attention)
+            found = cls(opened, attention, folder)
             try:
                 yield found
             finally:

@@ -19,8 +19,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NoReturn
 
+from sim.artefacts import ARTEFACTS, CERTIFICATES
 from sim.axes import StageFamily, TableFamily
 from sim.cabling import Cabling
+from sim.crooked import Crookedness
 from sim.faults import FAULTS, Speaker, parse_faults
 from sim.lasers import LaserWiring
 from sim.parts import PARTS, find_part
@@ -86,6 +88,7 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
         stage_family=StageFamily(wanted.stage),
         profiler_family=ProfilerFamily(wanted.profiler),
         laser=_laser_of(wanted),
+        crooked=Crookedness() if wanted.crooked else None,
     )
     files = _files(wanted, folder)
     with WitnessLog(files.witness) as witness:
@@ -98,6 +101,9 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
             plan = plan_toml(layout, part, rings=wanted.rings, stops=wanted.stops)
             files.plan.write_text(plan, encoding="utf-8")
             files.station.write_text(station_toml(layout, addresses, part.name), encoding="utf-8")
+            if part.name in CERTIFICATES:
+                certificate = files.station.with_name("artefact.toml")
+                certificate.write_text(CERTIFICATES[part.name](), encoding="utf-8")
             if wanted.while_stdin_open:
                 _end_with_stdin(server, ending, devices, cabling)
             _tell(files, as_json=wanted.json)
@@ -159,7 +165,8 @@ def _tell(files: _Files, *, as_json: bool) -> None:
 
 def _listing() -> str:
     faults = (f"  {name:20} {meaning}\n" for name, meaning in FAULTS.items())
-    return f"parts: {', '.join(PARTS)}, or a mesh file\nfaults:\n{''.join(faults)}"
+    known = ", ".join((*PARTS, *ARTEFACTS))
+    return f"parts: {known}, or a mesh file\nfaults:\n{''.join(faults)}"
 
 
 def _count_from(least: int) -> Callable[[str], int]:
@@ -197,6 +204,7 @@ def _parser() -> argparse.ArgumentParser:
     option("--faults", default="", metavar="NAME,NAME=N", help="what is wrong; --list names all")
     wirings = [each.value for each in LaserWiring]
     option("--laser", choices=wirings, help="what switches it; absent: turck, a hokuyo its own")
+    option("--crooked", action="store_true", help="stands otherwise than station.toml says")
     option("--out", type=Path, metavar="DIR", help="keeps the files; absent: gone at the end")
     option("--station", type=Path, metavar="FILE", help="for station.toml alone")
     option("--witness", type=Path, metavar="FILE", help="for the log of what truly happened alone")

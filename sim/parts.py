@@ -16,6 +16,7 @@ from types import MappingProxyType
 import numpy as np
 
 from sim.arrays import FloatArray
+from sim.artefacts import ARTEFACTS
 from sim.solids import Part, radial_solid, read_mesh, stack_rings
 
 _DARK = 0.0
@@ -155,11 +156,12 @@ def find_part(name_or_file: str) -> Part:
     OSError
         The file cannot be read.
     """
-    if name_or_file in PARTS:
-        return PARTS[name_or_file]()
+    known = {**PARTS, **ARTEFACTS}
+    if name_or_file in known:
+        return known[name_or_file]()
     path = Path(name_or_file)
     if not path.is_file():
         raise ValueError(
-            f"part {name_or_file!r}: no such file; built-in parts are {', '.join(PARTS)}"
+            f"part {name_or_file!r}: no such file; built-in parts are {', '.join(known)}"
         )
     return read_mesh(path)

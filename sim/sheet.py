@@ -52,14 +52,16 @@ class Slicer:
 
     def at(self, height_mm: float) -> Section:
         """Cut at a height over z = 0."""
-        part = self._part
-        ends_mm, normals = np.empty((len(part.faces), 2, 2)), np.empty((len(part.faces), 2))
-        faces = np.empty(len(part.faces), np.int32)
-        count = _cut(
-            part.vertices_mm, part.faces, self._spans_mm, height_mm, ends_mm, normals, faces
-        )
-        reflectance = part.reflectance[faces[:count]]
-        return Section(ends_mm[:count].copy(), normals[:count].copy(), reflectance)
+        return cut(self._part.vertices_mm, self._spans_mm, height_mm, self._part)
+
+
+def cut(vertices_mm: FloatArray, spans_mm: FloatArray, height_mm: float, part: Part) -> Section:
+    """Cut a part whose vertices (v, 3) stand so, and whose faces span heights (f, 2)."""
+    count = len(part.faces)
+    ends_mm, normals, faces = np.empty((count, 2, 2)), np.empty((count, 2)), np.empty(count, "i4")
+    found = _cut(vertices_mm, part.faces, spans_mm, height_mm, ends_mm, normals, faces)
+    reflectance = part.reflectance[faces[:found]]
+    return Section(ends_mm[:found].copy(), normals[:found].copy(), reflectance)
 
 
 @njit(cache=True, nogil=True)

@@ -31,6 +31,7 @@ from sim.axes import (
     table_toml,
 )
 from sim.cabling import Cabling
+from sim.crooked import CrookedBench, Crookedness
 from sim.device import Device, ModbusUnit
 from sim.faults import Breath, Faults, Silent, Speaker
 from sim.grbl import GrblBoard
@@ -93,6 +94,7 @@ class Layout:
     stage_baud: int = 115200
     watchdog_s: float = 0.25
     laser: LaserWiring = LaserWiring.TURCK
+    crooked: Crookedness | None = None  # stands otherwise than its station.toml says
     profiler_port: int = 0  # of each port, 0 is any that is free
     profiles_port: int = 0
     relay_port: int = 0
@@ -241,6 +243,8 @@ def station_toml(layout: Layout, addresses: Addresses, part_name: str) -> str:
             layout.laser, addresses.laser, device_id=_DEVICE_ID, watchdog_s=layout.watchdog_s
         ),
         stage_sense=mounting.lifting.name.lower(),
+        kinematics_kind="nominal" if layout.crooked else "simulated",
+        kinematics_say="what a ruler could tell" if layout.crooked else "as simulated, exactly",
         sensor_x=mounting.hand.name.lower(),
         azimuth_deg=round(math.degrees(mounting.azimuth_rad), 9),
     )
@@ -289,7 +293,9 @@ def _world(layout: Layout, part: Part, witness: Witness, pace: Pace) -> World:
         layout.stage_stands_mm, layout.stage_limits, Play(layout.stage_play_mm)
     )
     return World(
-        OpticalBench(part, layout.optics),
+        OpticalBench(part, layout.optics)
+        if layout.crooked is None
+        else CrookedBench(part, layout.optics, layout.crooked),
         WorldAxis("table", table, pace, witness),
         WorldAxis("stage", stage, pace, witness),
         pace,
@@ -338,9 +344,9 @@ name = {name}
 [laser]
 {laser}
 
-# how axes and sensor stand: the truth, as far as a ruler could tell it
+# how axes and sensor stand: {kinematics_say}
 [kinematics]
-kind = "nominal"
+kind = "{kinematics_kind}"
 table_sense = "{table_sense}"
 stage_sense = "{stage_sense}"
 height_mm = {mounting.height_mm}

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from sim.crooked import CrookedBench
 from sim.motion import AxisMotion
 from sim.optics import OpticalBench
 from sim.sensor import SeedKey, SimProfile
@@ -115,7 +116,7 @@ class World:
 
     def __init__(
         self,
-        bench: OpticalBench,
+        bench: OpticalBench | CrookedBench,
         table: WorldAxis,
         stage: WorldAxis,
         pace: Pace,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -44,6 +45,10 @@ def scan(
             help="Somebody stays at the station: for a laser that no watchdog turns off.",
         ),
     ] = False,
+    override: Annotated[
+        str | None,
+        typer.Option(help="Why to scan without a calibration that holds; kept in the record."),
+    ] = None,
     wire_log: Annotated[
         Path | None,
         typer.Option(help="Write every byte both ways, to a file of this name for each link."),
@@ -58,6 +63,7 @@ def scan(
             raise ValueError("--at-zero: says where a resumed scan stands; add --resume")
         from signal import SIGHUP, SIGINT, SIGTERM
 
+        from acquisition.calibration_in_force import in_force
         from acquisition.scan import PartStands, StopRequest
         from loftscan.scan_folders import prospect
         from loftscan.scan_progress import ScanTeller
@@ -66,13 +72,16 @@ def scan(
         from loftscan.wire_logs import WireLogs
 
         settings, wanted = station_of(station), plan_of(plan)
-        here = prospect(settings, wanted, out, resume=resume, plan_name=str(plan))
+        held = in_force(settings, station.parent, datetime.now(UTC), override=override)
+        here = prospect(settings, wanted, out, resume=resume, plan_name=str(plan), in_force=held)
         logs = None if wire_log is None else WireLogs(wire_log)
         stop = StopRequest()
         # From before the first device is opened until the last is closed, and the folder with it.
         with heeding({SIGINT: stop.ask, SIGTERM: stop.now, SIGHUP: stop.now}):
-            teller = ScanTeller(sys.stdout, _manner(json_lines), settings.kinematics, stop)
+            teller = ScanTeller(sys.stdout, _manner(json_lines), held.kinematics, stop)
             teller.estimate(here)
+            if held.override:
+                teller.note(f"calibration overridden: {held.override}")
             part = PartStands.AT_ZERO if at_zero else PartStands.ANYWHERE
             with _telling_how_to_resume(here, f"{station} {plan}", teller):
                 if here.missing:

@@ -23,7 +23,7 @@ from drivers.profiler import Profile
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 KINEMATICS = Kinematics(
-    kind=Kind.NOMINAL,
+    kind=Kind.SIMULATED,  # what these tests scan with are fakes: there is nothing to calibrate
     table_sense=Turning.COUNTER_CLOCKWISE,
     stage_sense=Lifting.UP,
     height_mm=12.5,

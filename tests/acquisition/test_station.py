@@ -70,7 +70,7 @@ def test_every_key_of_a_written_station_is_explained_and_carries_its_unit() -> N
     without = [line for line in keys if "  # " not in line and not re.match("family|switch", line)]
     assert without == []
     floats = re.findall(r"^(\w+) = -?[\d.e+-]*\.[\d.e+-]*  #", TEXT, re.MULTILINE)
-    unit = re.compile(r"_(mm|deg|s|hz|mm_s|deg_s|per_deg|per_count)$")
+    unit = re.compile(r"_(mm|deg|s|hz|mm_s|deg_s|per_deg|per_count|days|percent)$")
     assert [key for key in floats if not unit.search(key)] == []
 
 
