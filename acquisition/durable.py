@@ -46,9 +46,13 @@ def write_whole(path: Path, data: bytes) -> None:
     sync_folder(path.parent)
 
 
-def name_ahead(folder: Path, count: int) -> tuple[Path, ...]:
-    """Make empty files under work whose names last, for `write_named`; raises OSError."""
-    parts = tuple(folder / f".ahead-{number}{_SUFFIX}" for number in range(count))
+def name_ahead(folder: Path, numbers: range) -> tuple[Path, ...]:
+    """Make empty files under work whose names last, for `write_named`; raises OSError.
+
+    The numbers must be new to the folder: a name that a rename has just left is, until the folder
+    is synced, still that of the file which was renamed, and a new file would take it away.
+    """
+    parts = tuple(folder / f".ahead-{number}{_SUFFIX}" for number in numbers)
     try:
         for part in parts:
             os.close(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666))

@@ -294,6 +294,7 @@ class ScanWriter:
         self._record = record
         self._broken = False
         self._ahead: list[Path] = []  # empty files whose names last
+        self._named = 0  # how many there were
 
     def __enter__(self) -> Self:
         return self
@@ -371,7 +372,9 @@ class ScanWriter:
         self._broken = True
         with storage(self.folder.path, doing):
             if not self._ahead:
-                self._ahead = list(name_ahead(self.folder.path / SLICES, AHEAD))
+                numbers = range(self._named, self._named + AHEAD)
+                self._ahead = list(name_ahead(self.folder.path / SLICES, numbers))
+                self._named += AHEAD
             write_named(self._ahead.pop(), file, data)
         self._broken = False
 

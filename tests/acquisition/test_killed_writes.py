@@ -39,7 +39,7 @@ def test_a_recorder_killed_at_every_write_and_rename_loses_nothing(memory: Path)
 
 def test_every_state_that_a_power_cut_may_leave_has_what_was_told(memory: Path) -> None:
     tally = Tally()
-    power_cuts(memory, 3, tally)
+    power_cuts(memory, 3, tally, ahead=2)  # so that names are made to last twice
     assert_well(tally, 100)
 
 

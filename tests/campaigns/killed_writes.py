@@ -142,25 +142,27 @@ def options_at(path: Path, slices: int, call: str, what: str, number: int) -> li
             for dot, end in (("", ""), (".", ".part"))
         ),
     ]
-    names += [f"slices/.ahead-{number}.part" for number in range(AHEAD)]
+    names += [f"slices/.ahead-{number}.part" for number in range(slices + AHEAD)]
     names += [f"slices/{index:06d}.npz" for index in range(slices)]
     paths = [word for name in names for word in ("-P", str(path / name))]
     return [*injected(call, what, number), *paths]
 
 
-def traced(place: Path, slices: int, manner: str = "careful") -> tuple[Path, Path]:
+def traced(place: Path, slices: int, manner: str, ahead: int) -> tuple[Path, Path]:
     """Record a scan; give its folder and the log of its calls."""
     path, log = place / "traced.scan", place / "log"
     options = ["-y", "-xx", "-s", "100000000", "-o", str(log), "-e", f"trace={_LOGGED}"]
-    ran = recorder(path, slices, manner, strace=options)
+    ran = recorder(path, slices, manner, ahead=ahead, strace=options)
     if ran.code or len(ran.told) != slices:
         raise AssertionError(ran.stderr)
     return path, log
 
 
-def power_cuts(place: Path, slices: int, tally: Tally, manner: str = "careful") -> None:
+def power_cuts(
+    place: Path, slices: int, tally: Tally, manner: str = "careful", ahead: int = AHEAD
+) -> None:
     """Judge every state, once, that a power cut at any instant may leave."""
-    path, log = traced(place, slices, manner)
+    path, log = traced(place, slices, manner, ahead)
     seen = set()
     for number, image in enumerate(images(list(calls(log)), str(path))):
         if (image.files, image.told) in seen:

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from acquisition.scanfile import AHEAD
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 _PATIENCE_S = 120.0
 _CALL = re.compile(r"(?:\[pid +\d+\] )?(?:\d+ +)?(\w+)\((.*)\) += (-?\d+)(?:<.*>)?(?: .*)?$")
@@ -40,10 +42,16 @@ class Ran:
 
 
 def recorder(
-    path: Path, slices: int, manner: str = "careful", *, strace: Sequence[str] = ()
+    path: Path,
+    slices: int,
+    manner: str = "careful",
+    *,
+    ahead: int = AHEAD,
+    strace: Sequence[str] = (),
 ) -> Ran:
     """Run the recorder, under strace with these options if there are any."""
-    words = [sys.executable, "-m", "tests.campaigns.recorder", str(path), str(slices), manner]
+    words = [sys.executable, "-m", "tests.campaigns.recorder", str(path), str(slices)]
+    words += [manner, str(ahead)]
     tracer = ["strace", "-f", "-qq", "-o", os.devnull, *strace] if strace else []
     environment = {**os.environ, "PYTHONPATH": str(REPOSITORY), "OPENBLAS_NUM_THREADS": "1"}
     ran = subprocess.run(
