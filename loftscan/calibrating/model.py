@@ -148,6 +148,16 @@ class Model:
         """Which point of `seen` each of the first residuals belongs to."""
         return np.concatenate([np.empty(0, np.int64), *(each.rows for each in self.faces)])
 
+    def told(self) -> tuple[str, ...]:
+        """What the last of the residuals are of: certified radii, then spacings, by name."""
+        radii = [face.name for face in self.faces if _solves_radius(face) and face.radius_sd_mm]
+        spacings: list[str] = []
+        for scan in sorted({each.scan for each in self.faces}):
+            here = {face.name for face in self.faces if face.scan == scan}
+            spacings += [s.name for s in self.spacings if {s.one, s.other} <= here]
+        return (*(f"radius {name}" for name in dict.fromkeys(radii)),
+                *(f"spacing {name}" for name in spacings))  # fmt: skip
+
     def columns(self) -> list[slice]:
         """Where each face's own parameters stand, but for its radius."""
         return self._columns()[1]

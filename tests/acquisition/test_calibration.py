@@ -84,7 +84,7 @@ def test_a_simulated_station_needs_none(tmp_path: Path) -> None:
 
 def test_no_calibration_is_refused_with_the_command_that_makes_one(tmp_path: Path) -> None:
     with pytest.raises(
-        ValueError, match="there is no calibration .* loftscan calibrate .*override"
+        ValueError, match=r"there is no calibration .* loftscan calibrate .*override"
     ):
         in_force(RULED, tmp_path, NOW)
 
@@ -145,7 +145,7 @@ def test_a_scale_that_contradicts_the_station_is_refused_in_words(
     tmp_path: Path, changed: dict[str, object], words: str
 ) -> None:
     folder = kept(tmp_path, calibration(**changed))  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="contradicts station.toml") as refused:
+    with pytest.raises(ValueError, match=r"contradicts station\.toml") as refused:
         in_force(RULED, folder, NOW)
     assert words in str(refused.value)
     assert in_force(RULED, folder, NOW, override=WHY).kinematics.kind is Kind.CALIBRATED

@@ -216,6 +216,14 @@ def test_a_held_out_spacing_that_is_wrong_refuses() -> None:
     assert "-20" in words or "-19" in words or "-21" in words
 
 
+def test_a_wrong_radius_does_not_pass_for_noise() -> None:
+    words = refusal(
+        balls_seen(Crooked()), balls_toml().replace("radius_mm = 10.0", "radius_mm = 9.9")
+    )
+    assert "artefact.toml" in words
+    assert "off" in words
+
+
 def test_another_artefact_is_not_this_one() -> None:
     with pytest.raises(CalibrationRefused, match="spacings of the spheres differ"):
         calibrate(balls_seen(Crooked()), NOMINAL, artefact(balls_toml(off_mm=9.0)))
