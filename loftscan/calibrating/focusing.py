@@ -22,7 +22,7 @@ _FINE_POINTS, _FINE_CELL_MM = 8000, 2.0  # of the sharpening
 _LEAST, _MOST = 0.2, 2.6  # true turn for a reported one
 _STEP = 0.006  # 2 degrees at the end of a turn
 _CLEARLY = 1.10  # sharper than what the station says, before it is contradicted
-_CLEARLY_CROSSED = 1.25
+_CLEARLY_CROSSED, _LEAST_CROSSED = 1.25, 0.5  # turned by less, all of it lies on itself
 _NEAR = 0.08  # of the scale: no contradiction
 _CANDIDATES = 3
 _COARSE = 3  # every so manieth scale is enough to tell which axis turns
@@ -142,7 +142,7 @@ def _axes_swapped(seen: Seen, nominal: Kinematics, scales: FloatArray) -> bool:
     if span_mm <= 0.0 or span_rad <= 0.0:
         return False
     few = thinned(seen, _POINTS)
-    scales = scales[::_COARSE]
+    scales = scales[np.abs(scales) >= _LEAST_CROSSED][::_COARSE]
     said = max(_flat_sharpness(few, nominal, few.table_rad, each, few.stage_mm) for each in scales)
     turns = few.stage_mm / span_mm * math.tau
     crossed = max(_flat_sharpness(few, nominal, turns, each, few.table_rad) for each in scales)

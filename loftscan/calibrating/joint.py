@@ -130,11 +130,11 @@ def _found(seen: Seen, start: Kinematics, artefact: Artefact, seed: int) -> Solu
         scans = range(int(seen.scan.max()) + 1)
         try:
             faces = tuple(f for i in scans for f in find_faces(seen, i, start, artefact, rng))
-            solution = _settled(seen, start, faces, len(scans))
+            solution = _settled(seen, start, faces, len(scans), start)
             if not artefact.spheres:
                 return solution
             faces = named(_at(solution), artefact)
-            return _settled(seen, solution.kinematics, faces, len(scans))
+            return _settled(seen, solution.kinematics, faces, len(scans), start)
         except CalibrationRefused:
             if not tries_left:
                 raise
@@ -195,11 +195,13 @@ def _check(
     return Check(spacing.name, scan, length, spacing.distance_mm, math.sqrt(max(variance, 0.0)))
 
 
-def _settled(seen: Seen, start: Kinematics, faces: tuple[Face, ...], scans: int) -> Solution:
+def _settled(
+    seen: Seen, start: Kinematics, faces: tuple[Face, ...], scans: int, anchor: Kinematics
+) -> Solution:
     """Solve and give the points out anew, within less each time."""
     sigma_mm = np.full(scans, _FIRST_SIGMA_MM)
     # With every length free a part may shrink to a point, which lies on any face: not at first.
-    solution = solve(Model(start, _PLACES, seen, faces, (), sigma_mm))
+    solution = solve(Model(start, _PLACES, seen, faces, (), sigma_mm, anchor))
     for within_mm in _WITHIN_MM:
         solution = _again(seen, solution, within_mm, ())
     return solution
@@ -217,7 +219,8 @@ def _again(
 ) -> Solution:
     kinematics = solution.kinematics
     faces = assigned(seen, _at(solution), kinematics, within_mm)
-    return solve(Model(kinematics, PARAMETERS, seen, faces, spacings, solution.model.sigma_mm))
+    known = solution.model
+    return solve(Model(kinematics, PARAMETERS, seen, faces, spacings, known.sigma_mm, known.anchor))
 
 
 def _at(solution: Solution) -> tuple[Face, ...]:

@@ -38,8 +38,8 @@ PARAMETERS = (
     *("x_mm_per_mm", "z_mm_per_mm", "x_mm_per_z_mm"),
 )
 LENGTHS = ("stage_z_mm", "x_mm_per_mm", "z_mm_per_mm", "x_mm_per_z_mm")
-_RUN_AWAY = {name: 10.0 if name.endswith("_deg") and "per" not in name else 0.2
-             for name in PARAMETERS} | {"standoff_mm": 20.0, "side_mm": 20.0}  # fmt: skip
+_RUN_AWAY = {name: 3.0 if name in ("pitch_deg", "roll_deg") else 0.05
+             for name in PARAMETERS} | {"standoff_mm": 5.0, "side_mm": 5.0}  # fmt: skip
 _LEAST_IN_PLANE = 0.05  # a face that lies in the sheet has no distance in it
 
 
@@ -105,6 +105,7 @@ class Model:
     faces: tuple[Face, ...]
     spacings: tuple[Spacing, ...]
     sigma_mm: FloatArray  # of each scan
+    anchor: Kinematics | None = None  # where it stands but for `_RUN_AWAY`; None: at the start
 
     @property
     def radii(self) -> tuple[str, ...]:
@@ -148,6 +149,16 @@ class Model:
         """Which point of `seen` each of the first residuals belongs to."""
         return np.concatenate([np.empty(0, np.int64), *(each.rows for each in self.faces)])
 
+    def told(self) -> tuple[str, ...]:
+        """What the last of the residuals are of: certified radii, then spacings, by name."""
+        radii = [face.name for face in self.faces if _solves_radius(face) and face.radius_sd_mm]
+        spacings: list[str] = []
+        for scan in sorted({each.scan for each in self.faces}):
+            here = {face.name for face in self.faces if face.scan == scan}
+            spacings += [s.name for s in self.spacings if {s.one, s.other} <= here]
+        return (*(f"radius {name}" for name in dict.fromkeys(radii)),
+                *(f"spacing {name}" for name in spacings))  # fmt: skip
+
     def columns(self) -> list[slice]:
         """Where each face's own parameters stand, but for its radius."""
         return self._columns()[1]
@@ -176,15 +187,17 @@ class Model:
     def _known(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Certified spacings and radii as observations of their own.
 
-        And that no station stands 20 mm, 10 degrees or 20 % from where the solve begins: it is far
-        below what any point tells, and keeps what nothing tells from running away.
+        And that no station stands far from its anchor, with `_RUN_AWAY` as standard deviations: it
+        is far below what any point tells, and keeps what nothing tells from running away.
         """
         gaps: list[float] = []
         rows: list[FloatArray] = []
         for column, name in enumerate(self.free):
             row = np.zeros(len(at))
             row[column] = 1.0 / _RUN_AWAY[name]
-            gaps.append(float(row[column]) * (at[column] - float(getattr(self.start, name))))
+            gaps.append(
+                float(row[column]) * (at[column] - float(getattr(self.anchor or self.start, name)))
+            )
             rows.append(row)
         faces, columns, radii = self._columns()
         told: set[str] = set()

@@ -19,6 +19,8 @@ from loftscan.calibrating.errors import CalibrationRefused
 from loftscan.calibrating.joint import Calibrated
 
 _UM = 1e3
+_BIAS = 0.2  # of the noise, in the mean of an element
+_SIGMAS = 5.0
 
 
 def must_hold(found: Calibrated, station: Station) -> None:
@@ -44,6 +46,8 @@ def must_hold(found: Calibrated, station: Station) -> None:
         raise CalibrationRefused(f"calibration: not observable: {found.verdict.words()}")
     if (against := contradiction(found.kinematics, station)) is not None:
         raise CalibrationRefused(f"calibration: {against}; correct it and calibrate again")
+    if (misfit := _misfit(found)) is not None:
+        raise CalibrationRefused(f"calibration: {misfit}")
     for each in found.checks:
         if not each.sound:
             off_um = _UM * (each.found_mm - each.certified_mm)
@@ -122,6 +126,33 @@ def write_report(
         f"<table border=1><tr><th>element<th>1<th>2<th>3<th>4 a turn</tr>{rows}</table>\n",
         encoding="utf-8",
     )
+
+
+def _misfit(found: Calibrated) -> str | None:
+    """What of the artefact is not as it is certified, in words.
+
+    The noise is told by the residuals, so that a wrong size passes for noise; but it is not zero
+    in the mean of an element, and certified sizes that contradict each other do not fit together.
+    """
+    solution, first = found.solution, 0
+    for face in solution.model.faces:
+        own = solution.residuals[first : first + len(face.rows)]
+        first += len(face.rows)
+        mean = float(own.mean())
+        if abs(mean) > max(_BIAS, _SIGMAS * (solution.alike / len(own)) ** 0.5):
+            off_um = mean * _UM * float(solution.model.sigma_mm[face.scan])
+            return (
+                f"{face.name} lies {off_um:+.1f} um off in the mean of its points; correct its size"
+                " in artefact.toml, or see what else stands there"
+            )
+    told = solution.model.told()
+    for name, off in zip(told, solution.residuals[-len(told) :] if told else (), strict=True):
+        if abs(off) > _SIGMAS:
+            return (
+                f"the certified {name} is {abs(off):.0f} of its standard uncertainties off: sizes"
+                " in artefact.toml contradict each other; correct them, or their sd"
+            )
+    return None
 
 
 def _checked(found: Calibrated) -> list[str]:

@@ -9,11 +9,19 @@ import numpy as np
 import pytest
 
 from acquisition.calibration import parse_calibration, write_calibration
-from acquisition.frames import Lifting, Turning
+from acquisition.frames import Lifting, Turning, sensor_axes
 from loftscan.calibrating.errors import CalibrationRefused
 from loftscan.calibrating.focusing import focus
 from loftscan.calibrating.joint import calibrate
-from loftscan.calibrating.model import PARAMETERS, Face, Model, Seen, placed_with
+from loftscan.calibrating.model import (
+    LENGTHS,
+    PARAMETERS,
+    Face,
+    Model,
+    Seen,
+    placed_with,
+    turned,
+)
 from loftscan.calibrating.residual_plots import harmonics
 from loftscan.calibrating.shapes import Form, Shape, distances, frame_around
 from loftscan.calibrating.solving import correlation, solve
@@ -70,30 +78,28 @@ def test_the_jacobian_is_the_slope_of_the_residuals() -> None:
         for column in range(len(at)):
             step = np.zeros(len(at))
             step[column] = 1e-6
-            ends = [model.residuals(at + sign * step)[: len(rows)] for sign in (1.0, -1.0)]
+            ends = [twin(model, at, at + sign * step) for sign in (1.0, -1.0)]
             numeric = (ends[0] - ends[1]) / 2e-6
-            # That a normal turns changes the weight, too, and is left out: up to the distance times
-            # the turn a unit, which these far-off shapes make as large as it gets. Near a face it
-            # is nothing; here what is asked is the derivative where the weight stands still.
-            still = [_still(model, at, at + sign * step) for sign in (1.0, -1.0)]
-            fixed = (still[0] - still[1]) / 2e-6
-            wanted = numeric if PARAMETERS[column : column + 1] in SCALES else fixed
-            bound = 1e-5 * max(1.0, float(np.abs(wanted).max()))
-            assert np.abs(slope[: len(rows), column] - wanted).max() < bound, (shape.form, column)
+            # A central difference of step 1e-6 keeps five digits of what it measures.
+            bound = 1e-5 * max(1.0, float(np.abs(numeric).max()))
+            assert np.abs(slope[: len(rows), column] - numeric).max() < bound, (shape.form, column)
+        here = model.residuals(at)[: len(rows)]
+        np.testing.assert_allclose(twin(model, at, at), here, rtol=1e-12)
 
 
-SCALES = (("x_mm_per_mm",), ("z_mm_per_mm",), ("x_mm_per_z_mm",))
-
-
-def _still(model: Model, at: np.ndarray, moved: np.ndarray) -> np.ndarray:
-    """Residuals at `moved` with the weights of `at`."""
+def twin(model: Model, at: np.ndarray, moved: np.ndarray) -> np.ndarray:
+    """Residuals at `moved`; normals, and the sheet's turn, for the weights are those of `at`."""
     face = model.faces[0]
-
-    def gap(where: np.ndarray) -> np.ndarray:
-        part_mm = placed_with(model.kinematics(where), model.seen).part_mm[face.rows]
-        return distances(face.shape, model.own(where)[0], part_mm)[0]
-
-    return gap(moved) * (model.residuals(at)[: len(face.rows)] / gap(at))
+    before, after = model.kinematics(at), model.kinematics(moved)
+    placing = placed_with(before, model.seen)
+    normal = distances(face.shape, model.own(at)[0], placing.part_mm[face.rows])[1]
+    facing = turned(normal, placing.back_rad[face.rows])
+    scales = {name: getattr(after, name) for name in LENGTHS if name != "stage_z_mm"}
+    axes = sensor_axes(replace(before, **scales))
+    spread = np.hypot(facing @ axes[0], facing @ axes[1])
+    part_mm = placed_with(after, model.seen).part_mm[face.rows]
+    gap = distances(face.shape, model.own(moved)[0], part_mm)[0]
+    return gap / np.maximum(spread, 0.05)
 
 
 def test_strays_do_not_pull() -> None:
@@ -214,6 +220,14 @@ def test_a_held_out_spacing_that_is_wrong_refuses() -> None:
     words = refusal(balls_seen(Crooked()), balls_toml(off_mm=0.02))
     assert "held-out spacing far" in words
     assert "-20" in words or "-19" in words or "-21" in words
+
+
+def test_a_wrong_radius_does_not_pass_for_noise() -> None:
+    words = refusal(
+        balls_seen(Crooked()), balls_toml().replace("radius_mm = 10.0", "radius_mm = 9.9")
+    )
+    assert "artefact.toml" in words
+    assert "off" in words
 
 
 def test_another_artefact_is_not_this_one() -> None:

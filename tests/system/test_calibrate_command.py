@@ -14,9 +14,24 @@ from acquisition.calibration import read_calibration
 from acquisition.plan import ring, write_plan
 from acquisition.scanfile import ScanFolder
 from loftscan import simulate
-from tests.system.command_cases import run
+from tests.system.command_cases import run, start
 
 WHY = "a first look, nothing is measured"
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended that lights the laser: in a process of its own, as its guard wants it."""
+
+    exit_code: int
+    stdout: str
+    stderr: str
+
+
+def scanning(*arguments: object) -> Ended:
+    child = start(*arguments)
+    stdout, stderr = child.communicate(timeout=400.0)
+    return Ended(child.returncode, stdout, stderr)
 
 
 @dataclass(frozen=True)
@@ -37,11 +52,11 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
         plan = folder / "artefact-plan.toml"
         plan.write_text(write_plan(ring(12.0, 74.0, 3.1, 18)), encoding="utf-8")
         artefact = folder / "artefact.toml"
-        bare = run("scan", live.station, plan, "--out", folder / "early.scan")
+        bare = scanning("scan", live.station, plan, "--out", folder / "early.scan")
         assert bare.exit_code == 2
         assert "there is no calibration of this station" in bare.stderr
         assert not (folder / "early.scan").exists()
-        done = run("calibrate", live.station, artefact, "--plan", plan)
+        done = scanning("calibrate", live.station, artefact, "--plan", plan)
         assert done.exit_code == 0, done.stderr
         scan = next(folder.glob("calibration-*.scan"))
         yield Bench(live.station, artefact, folder / "calibration.toml", scan, done.stdout)
@@ -75,7 +90,7 @@ def test_it_tells_the_numbers_and_draws_the_pictures(bench: Bench) -> None:
 
 def test_a_scan_then_uses_it_and_says_so(bench: Bench, place: Path) -> None:
     Path("few.toml").write_text(write_plan(ring(20.0, 22.0, 2.0, 3)), encoding="utf-8")
-    done = run("scan", bench.station, "few.toml", "--out", "few.scan")
+    done = scanning("scan", bench.station, "few.toml", "--out", "few.scan")
     assert done.exit_code == 0, done.stderr
     record = ScanFolder.open(Path("few.scan")).record()
     found = read_calibration(bench.calibration)
@@ -86,14 +101,14 @@ def test_a_scan_then_uses_it_and_says_so(bench: Bench, place: Path) -> None:
 
 def test_another_calibration_does_not_resume_a_scan(bench: Bench, place: Path) -> None:
     Path("few.toml").write_text(write_plan(ring(20.0, 22.0, 2.0, 3)), encoding="utf-8")
-    assert run("scan", bench.station, "few.toml", "--out", "few.scan").exit_code == 0
+    assert scanning("scan", bench.station, "few.toml", "--out", "few.scan").exit_code == 0
     text = bench.calibration.read_text(encoding="utf-8")
     pitch = read_calibration(bench.calibration).kinematics.pitch_deg
     try:
         bench.calibration.write_text(
             text.replace(f"pitch_deg = {pitch!r}", "pitch_deg = 0.125", 1), encoding="utf-8"
         )
-        done = run("scan", bench.station, "few.toml", "--out", "few.scan", "--resume")
+        done = scanning("scan", bench.station, "few.toml", "--out", "few.scan", "--resume")
     finally:
         bench.calibration.write_text(text, encoding="utf-8")
     assert done.exit_code == 2
@@ -105,7 +120,7 @@ def test_the_operators_words_go_into_the_record(bench: Bench, place: Path) -> No
     kept = bench.calibration.with_suffix(".away")
     shutil.move(bench.calibration, kept)
     try:
-        done = run("scan", bench.station, "few.toml", "--out", "o.scan", "--override", WHY)
+        done = scanning("scan", bench.station, "few.toml", "--out", "o.scan", "--override", WHY)
     finally:
         shutil.move(kept, bench.calibration)
     assert done.exit_code == 0, done.stderr

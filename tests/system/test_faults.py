@@ -18,20 +18,27 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from acquisition.calibration import write_calibration
 from acquisition.errors import LeaseLapsed
 from acquisition.plan import Plan, StepAndShoot, ring, write_plan
 from acquisition.poses import Sweep
+from acquisition.scan_record import ScanRecord, State
 from acquisition.scanfile import ScanFolder
 from acquisition.station import read_station
 from drivers.errors import DriverError
 from drivers.profiler import Profile, Reason
 from loftscan import Station, simulate
 from loftscan.simulation import Simulated
+from sim.artefacts import ball_plate, ball_plate_toml
+from sim.crooked import Crookedness
+from tests.acquisition.test_calibration import calibration
+from tests.campaigns.crooked_chain import taken
 from tests.loftscan.made_scans import damage, sweeps, write_scan
 from tests.loftscan.test_following import ENDS
 from tests.system.command_cases import run, start, succeeded
@@ -414,6 +421,96 @@ def test_a_position_is_right_or_not_told_however_the_wire_garbles_it(place: Path
             with suppress(DriverError):
                 told.append(station.devices.stage.state().position)
     assert set(told) == {0.0}  # where its power came on
+
+
+# -- calibration -----------------------------------------------------------------------------------
+
+
+def ruled(station: Simulated) -> str:
+    """The live station as if it were a real one, which has to be calibrated."""
+    return changed(station, 'kind = "simulated"', 'kind = "nominal"')
+
+
+def calibrate_to(file: str, days: float = 1.0, **solved: float) -> None:
+    """Put a calibration of that station beside it, so old and with such numbers."""
+    settings = read_station(Path(file))
+    kept = replace(
+        calibration(settings, **solved), made=datetime.now(UTC) - timedelta(days=days)
+    )  # fmt: skip
+    Path("calibration.toml").write_text(write_calibration(kept))
+
+
+def test_a_station_without_a_calibration(station: Simulated, place: Path, plan: str) -> None:
+    end = scan(ruled(station), plan)
+    assert_told(end.line, end.code, "There is no calibration")
+    assert not Path("part.scan").exists()
+
+
+def test_a_calibration_that_is_old(station: Simulated, place: Path, plan: str) -> None:
+    file = ruled(station)
+    calibrate_to(file, days=40.0)
+    end = scan(file, plan)
+    assert_told(end.line, end.code, "The calibration is old")
+
+
+def test_a_calibration_of_another_station(station: Simulated, place: Path, plan: str) -> None:
+    file = ruled(station)
+    calibrate_to(file)
+    text = Path(file).read_text()
+    Path(file).write_text(re.sub("standoff_mm = .*", "standoff_mm = 226.5", text))
+    end = scan(file, plan)
+    assert_told(end.line, end.code, "The calibration is another station's")
+
+
+def test_a_calibration_that_contradicts(station: Simulated, place: Path, plan: str) -> None:
+    file = ruled(station)
+    calibrate_to(file, table_deg_per_deg=0.5)
+    end = scan(file, plan)
+    assert_told(end.line, end.code, "The calibration contradicts the station")
+
+
+@pytest.fixture(scope="module")
+def of_balls(station: Simulated, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scan of the ball plate by a crooked station, from the simulator's optics, without wires."""
+    folder = tmp_path_factory.mktemp("balls")
+    text = station.station.read_text().replace('kind = "simulated"', 'kind = "nominal"')
+    (folder / "station.toml").write_text(text)
+    settings = read_station(folder / "station.toml")
+    record = ScanRecord(
+        settings, ring(12.0, 72.0, 4.0, 16), settings.kinematics, "loftscan 0", "2026-01-02"
+    )
+    with ScanFolder.create(folder / "balls.scan", record) as writer:
+        for each in taken(ball_plate(), Crookedness(), np.arange(12.0, 74.0, 4.0), 16):
+            writer.append(each)
+        writer.finish(State.COMPLETE)
+    (folder / "artefact.toml").write_text(ball_plate_toml())
+    return folder
+
+
+def calibrate(folder: Path, *options: object) -> tuple[int, str]:
+    ran = run(
+        "calibrate", folder / "station.toml", folder / "artefact.toml",
+        "--scan", folder / "balls.scan", "--out", folder / "calibration.toml", "--json", *options,
+    )  # fmt: skip
+    return ran.exit_code, ran.stderr.removeprefix("loftscan: ").rstrip("\n")
+
+
+def test_a_held_out_spacing_and_a_drift(of_balls: Path, place: Path) -> None:
+    assert calibrate(of_balls) == (0, "")
+    artefact = of_balls / "artefact.toml"
+    sound = artefact.read_text()
+    head, key, last = sound.rpartition("distance_mm = ")
+    number, rest = last.split("\n", 1)
+    artefact.write_text(f"{head}{key}{float(number) + 0.05:.6f}\n{rest}")
+    try:
+        for options, title in (
+            ((), "The calibration is refused"),
+            (("--check",), "The station has drifted"),
+        ):
+            code, line = calibrate(of_balls, *options)
+            assert_told(line, code, title)
+    finally:
+        artefact.write_text(sound)
 
 
 # -- plans and disks -------------------------------------------------------------------------------
