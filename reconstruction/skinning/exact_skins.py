@@ -142,6 +142,8 @@ def exact_in_place_of(skin: Skin, levels: Levels) -> ExactSkin | None:
 
 
 def _skinned(branch: Branch, shape: Shape, noise: Noise, levels: Levels) -> ExactSkin | None:
+    if len(branch.outlines) < 2:
+        return None  # one outline and loose points beside it do not say how far a wall goes
     found = ended(branch, shape, levels)
     return None if found is None else ExactSkin(branch, found.brims, shape, found.surface, noise)
 
