@@ -31,7 +31,7 @@ from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.skinning.mesh_feet import MeshFeet, mesh_feet, vertex_normals
 
 _FIRST_WAVE = 0.8  # grains: what is shorter, the first stiffness smooths
-_WIDER = 1.3  # than likelihood says after so few steps; 1.35 is as good, 1.1 and 1.5 are not
+_WIDER = 1.3  # than likelihood says after so few steps; 1.25 and 1.35 do about as well
 _MOST_WIDER = 4.0  # than before, and narrower: no one step tells more
 _ALIKE = 3.0  # grains: over which curvature is compared with that of the surroundings
 _BARELY, _LEAST_SEEN = 0.1, 1e-4  # of the usual weight of points around a vertex

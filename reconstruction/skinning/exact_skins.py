@@ -160,6 +160,8 @@ def _preferred(skin: Skin) -> Shape | None:
 
 
 def _skinned(branch: Branch, shape: Shape, noise: Noise, levels: Levels) -> ExactSkin | None:
+    if len(branch.outlines) < 2:
+        return None  # one outline and loose points beside it do not say how far a wall goes
     found = ended(branch, shape, levels)
     return None if found is None else ExactSkin(branch, found.brims, shape, found.surface, noise)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from reconstruction.skinning.apexes import tips_of
 from reconstruction.skinning.branch import Branch, End, Ending
 from reconstruction.skinning.ends import Apex, Brim
 from reconstruction.skinning.exact_ends import Levels
-from reconstruction.skinning.exact_skins import AnySkin, ExactSkin, exact_skin
+from reconstruction.skinning.exact_skins import AnySkin, ExactSkin, exact_in_place_of, exact_skin
 from reconstruction.skinning.outlines import Moments
 from reconstruction.skinning.primitives import Cone, Cylinder, Sphere
 from reconstruction.skinning.skin import Skin, skin_branch
@@ -145,6 +146,16 @@ def test_the_outline_of_one_slice_is_no_plane() -> None:
     ends = (End(Ending.UNSEEN, LOW), End(Ending.UNSEEN, STEP))
     branch = Branch(piece.outlines, cyclic=False, ends=ends, hole=False)
     assert exact_skin(branch, None, Levels(HEIGHTS[:1], np.zeros(1, np.bool_))) is None
+
+
+def test_a_branch_of_one_outline_keeps_its_free_surface_whatever_loose_points_say() -> None:
+    skinned = skin_slices(pieces(steady(20.0)), exact=Exact.NEVER)
+    (skin,) = skinned.skins
+    assert isinstance(skin, Skin)
+    levels = Levels(HEIGHTS, np.zeros(len(HEIGHTS), np.bool_))
+    assert exact_in_place_of(skin, levels) is not None
+    alone = replace(skin.branch, outlines=skin.branch.outlines[:1])
+    assert exact_in_place_of(replace(skin, branch=alone), levels) is None
 
 
 def test_never_keeps_a_cylinder_free() -> None:
