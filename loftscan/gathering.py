@@ -139,7 +139,9 @@ class Intake:
             return
         before = self._pieces[-1].sample
         here_mm, there_mm = height_mm(piece.frame), height_mm(before.frame)
-        if piece.index <= before.index or here_mm <= there_mm:
+        # A slice without a point has no place of its own where the sheet is pitched.
+        lower = here_mm <= there_mm and len(piece.points_mm) and len(before.points_mm)
+        if piece.index <= before.index or lower:
             raise ValueError(
                 f"slice {piece.index} at {here_mm:.4g} mm follows slice {before.index} at"
                 f" {there_mm:.4g} mm: indices and heights along the normal must both increase"

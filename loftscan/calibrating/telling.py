@@ -112,7 +112,10 @@ def write_report(
     """Write report.html beside the pictures."""
     rows = "".join(
         f"<tr><td>{html.escape(name)}</td>"
-        + "".join(f"<td>{_UM * each:.2f}</td>" for each in values)
+        + "".join(
+            "<td>not told</td>" if np.isnan(each) else f"<td>{_UM * each:.2f}</td>"
+            for each in values
+        )
         + "</tr>"
         for name, values in amplitudes.items()
     )
