@@ -92,7 +92,9 @@ def made(
 
 
 def lines(found: Calibrated) -> list[str]:
-    """What a person reads of it."""
+    """What a person reads of it; nothing where nothing was solved."""
+    if not found.solution.points:
+        return []
     solution, verdict = found.solution, found.verdict
     told = [
         f"points: {solution.points} used of {found.points_seen}, {solution.stray} strays;"
