@@ -34,6 +34,7 @@ from acquisition.poses import Sweep
 from acquisition.settings import Key
 
 _SHORTEST_MM = 1e-3  # true, of a reported mm
+_FACING = 0.7  # mean of the cosine over the 80 degrees each way that a sensor sees of a round part
 _IN_PLANE = 1e-6  # volume that three unit steps span
 
 
@@ -144,11 +145,6 @@ class Kinematics:
         """+1 when the sensor's x points along the station's y (azimuth 0)."""
         return 1 if self.sensor_x is Side.RIGHT else -1
 
-    @property
-    def level(self) -> bool:
-        """Whether all points of a ring lie at one height."""
-        return self.pitch_deg == 0.0 and self.roll_deg == 0.0
-
 
 def sensor_axes(kinematics: Kinematics) -> FloatArray:
     """Steps in the station, before azimuth, of a mm of the sensor's x and of its z: (2, 3)."""
@@ -245,8 +241,10 @@ def part_points(sweep: Sweep, kinematics: Kinematics) -> FloatArray:
 def ring_plane(sweep: Sweep, kinematics: Kinematics) -> tuple[FloatArray, FloatArray]:
     """Origin (3,) and axes (3, 3: rows x, y, normal) of a ring's plane in the part frame.
 
-    A sheet that is not level cuts a shallow cone out of a whole turn; its plane is then the one
-    across the axis at the mean height of the points.
+    A pitched sheet cuts a shallow cone out of a whole turn; its plane is then the one across the
+    axis at the sheet's height where the points are, in the mean. That is told by their median
+    radius, not by their mean height: planes must follow each other as the stage does, and of a ring
+    at the part's top only the side that the sheet still meets has points.
 
     Raises
     ------
@@ -256,10 +254,12 @@ def ring_plane(sweep: Sweep, kinematics: Kinematics) -> tuple[FloatArray, FloatA
     if not sweep.poses:
         raise ValueError(f"sweep {sweep.index}: no pose, so the height of its plane is unknown")
     stage_mm = float(np.mean([pose.stage_mm for pose in sweep.poses]))
-    if kinematics.level or not len(points_mm := part_points(sweep, kinematics)):
-        height_mm = float(sensor_origin(kinematics)[2] + stage_mm * stage_step(kinematics)[2])
-    else:
-        height_mm = float(points_mm[:, 2].mean())
+    origin_mm = sensor_origin(kinematics) + stage_mm * stage_step(kinematics)
+    rise = math.tan(math.radians(kinematics.pitch_deg))
+    outward_mm = 0.0
+    if rise and len(points_mm := part_points(sweep, kinematics)):
+        outward_mm = _FACING * float(np.median(np.hypot(points_mm[:, 0], points_mm[:, 1])))
+    height_mm = float(origin_mm[2] + rise * (origin_mm[0] - outward_mm))
     return np.array([0.0, 0.0, height_mm]), np.eye(3)
 
 

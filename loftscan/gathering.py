@@ -145,7 +145,9 @@ class Intake:
         here_mm, there_mm = height_mm(piece.frame), height_mm(before.frame)
         first = self._pieces[0].sample
         turned = is_turned(piece.frame, before.frame) or is_turned(piece.frame, first.frame)
-        low = here_mm <= there_mm and not turned
+        # A slice without a point has no place of its own where the sheet is pitched.
+        placed = len(piece.points_mm) > 0 and len(before.points_mm) > 0
+        low = here_mm <= there_mm and placed and not turned
         if piece.index <= before.index or low:
             raise ValueError(
                 f"slice {piece.index} at {here_mm:.4g} mm follows slice {before.index} at"

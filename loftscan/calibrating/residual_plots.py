@@ -9,6 +9,7 @@ multiples of the motor's teeth, its steps. Each element is fitted by
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -20,12 +21,22 @@ from loftscan.calibrating.shapes import distances
 from loftscan.calibrating.solving import Solution
 
 _HARMONICS = 4
+_LARGEST_GAP_RAD = math.radians(60.0)  # two thirds of the shortest wave that is told
+_FEWEST = 10  # points of a mean that is drawn
+_BROKEN_RAD = math.radians(45.0)  # farther apart, means are not joined
 _UM = 1e3
 _DRAWN = 4000  # points of an element
 
 
 def harmonics(angle_rad: FloatArray, residual_mm: FloatArray) -> FloatArray:
-    """Amplitudes (k,) in mm of the first harmonics of residuals at table angles (n,)."""
+    """Amplitudes (k,) in mm of the first harmonics of residuals at table angles (n,).
+
+    NaN where a gap of the turn, such as behind a plate, would let waves grow in it.
+    """
+    turn = np.sort(np.unique(np.round(angle_rad % math.tau, 6)))
+    gaps = np.diff(np.append(turn, turn[0] + math.tau)) if len(turn) else np.array([math.tau])
+    if gaps.max() > _LARGEST_GAP_RAD:
+        return np.full(_HARMONICS, np.nan)
     orders = np.arange(1, _HARMONICS + 1)
     waves = np.outer(angle_rad, orders)
     rows = np.column_stack([np.ones(len(angle_rad)), np.cos(waves), np.sin(waves)])
@@ -71,8 +82,11 @@ def draw(solution: Solution, folder: Path) -> Mapping[str, FloatArray]:
 def _binned(turn: FloatArray, gap: FloatArray) -> tuple[FloatArray, FloatArray]:
     cell = np.floor(np.degrees(turn) / 10.0).astype(np.int64)
     cells, where = np.unique(cell, return_inverse=True)
-    mean = np.bincount(where, gap) / np.bincount(where)
-    return np.radians(10.0 * (cells + 0.5)), mean
+    counts = np.bincount(where)
+    told = counts >= _FEWEST
+    mean, middle = (np.bincount(where, gap) / counts)[told], np.radians(10.0 * cells[told] + 5.0)
+    breaks = np.flatnonzero(np.diff(middle) > _BROKEN_RAD) + 1
+    return np.insert(middle, breaks, np.nan), np.insert(mean, breaks, np.nan)
 
 
 def _draw_harmonics(amplitudes: Mapping[str, FloatArray], path: Path) -> None:
@@ -83,9 +97,12 @@ def _draw_harmonics(amplitudes: Mapping[str, FloatArray], path: Path) -> None:
     width = 0.8 / max(len(amplitudes), 1)
     orders = np.arange(1, _HARMONICS + 1)
     for number, (name, each) in enumerate(amplitudes.items()):
+        if np.isnan(each).any():
+            continue
         axis.bar(orders + (number - len(amplitudes) / 2) * width, _UM * each, width, label=name)
     axis.set_xticks(orders, [f"{k} a turn" for k in orders])
     axis.set_ylabel("amplitude, um")
     axis.set_title("1 a turn: eccentricity left over; 2 a turn: wobble", fontsize=9)
-    axis.legend(fontsize=7)
+    if axis.get_legend_handles_labels()[0]:
+        axis.legend(fontsize=7)
     figure.savefig(path, dpi=110)

@@ -92,7 +92,9 @@ def made(
 
 
 def lines(found: Calibrated) -> list[str]:
-    """What a person reads of it."""
+    """What a person reads of it; nothing where nothing was solved."""
+    if not found.solution.points:
+        return []
     solution, verdict = found.solution, found.verdict
     told = [
         f"points: {solution.points} used of {found.points_seen}, {solution.stray} strays;"
@@ -112,7 +114,10 @@ def write_report(
     """Write report.html beside the pictures."""
     rows = "".join(
         f"<tr><td>{html.escape(name)}</td>"
-        + "".join(f"<td>{_UM * each:.2f}</td>" for each in values)
+        + "".join(
+            "<td>not told</td>" if np.isnan(each) else f"<td>{_UM * each:.2f}</td>"
+            for each in values
+        )
         + "</tr>"
         for name, values in amplitudes.items()
     )

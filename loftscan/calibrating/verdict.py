@@ -22,9 +22,10 @@ from loftscan.calibrating.solving import Solution
 
 _LIMIT = 0.1  # of a unit: 0.1 mm, 0.1 degrees, 0.1 percent
 _PART = 0.25  # of a combination: a smaller share is none
-_UNIT = {name: 1.0 if name.endswith(("o_mm", "f_mm", "e_mm", "_deg")) else 0.01
-         for name in PARAMETERS} | {"standoff_mm": 1.0, "side_mm": 1.0,
-                                    "table_deg_per_deg": 0.01}  # fmt: skip
+_UNIT = {
+    name: 1.0 if name in ("standoff_mm", "side_mm", "pitch_deg", "roll_deg") else 0.01
+    for name in PARAMETERS
+}
 _GROUPS = {
     "standoff_mm": "the axis's position (standoff_mm)",
     "side_mm": "the axis's position (side_mm)",

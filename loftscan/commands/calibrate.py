@@ -126,7 +126,7 @@ def _solve(
     except CalibrationRefused as why:
         refused = why
     _report(found, refused, folder)
-    if not json_lines:
+    if not json_lines and found.solution.points:
         print("\n".join(lines(found)))
         print(f"report: {folder / 'report.html'}")
     if refused is not None:

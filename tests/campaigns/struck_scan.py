@@ -137,7 +137,9 @@ class StruckScan:
             return ["the resume left slices out"]
         if folder.verify().damaged:
             return ["the resume left a damaged slice"]
-        if taken != set(range(self._plan.ring.count)) - kept:
+        # One that was kept is taken again, to be compared.
+        missing = set(range(self._plan.ring.count)) - kept
+        if not missing <= taken or len(taken & kept) > 1:
             return [f"the resume took {sorted(taken)}, and {sorted(kept)} were kept"]
         return list(untrue(folder, self._plan, read_all(self._station.witness)))
 

@@ -289,6 +289,11 @@ def test_a_wobble_shows_in_the_harmonic_that_it_has() -> None:
     np.testing.assert_allclose(harmonics(turn, gap), [0.001, 0.004, 0.0, 0.0], atol=3e-5)
 
 
+def test_waves_do_not_grow_where_nothing_was_seen() -> None:
+    turn = np.linspace(0.0, math.radians(200.0), 300)
+    assert np.isnan(harmonics(turn, np.zeros(300))).all()
+
+
 def test_the_focus_tells_both_senses_apart() -> None:
     for sense in (1, -1):
         found = focus(balls_seen(replace(Crooked(), table_sense=sense)), NOMINAL)

@@ -495,6 +495,23 @@ def calibrate(folder: Path, *options: object) -> tuple[int, str]:
     return ran.exit_code, ran.stderr.removeprefix("loftscan: ").rstrip("\n")
 
 
+def test_a_sensor_whose_x_and_z_are_exchanged(of_balls: Path, place: Path) -> None:
+    kept = ScanFolder.open(of_balls / "balls.scan")
+    with ScanFolder.create(place / "crossed.scan", kept.record()) as writer:
+        for index in kept.indices():
+            sweep = kept.read(index)
+            crossed = [replace(each, counts=each.counts[:, ::-1]) for each in sweep.profiles]
+            writer.append(Sweep(index, tuple(crossed), sweep.poses))
+        writer.finish(State.COMPLETE)
+    code, line = calibrate(of_balls, "--scan", place / "crossed.scan")
+    assert code == 1, line  # among sound points still: not taken for an artefact
+    ran = run("calibrate", of_balls / "station.toml", of_balls / "artefact.toml",
+              "--scan", place / "crossed.scan", "--out", place / "no.toml")  # fmt: skip
+    assert ran.exit_code == 1
+    assert "x and z are exchanged" in ran.stderr
+    assert not (place / "no.toml").exists()
+
+
 def test_a_held_out_spacing_and_a_drift(of_balls: Path, place: Path) -> None:
     assert calibrate(of_balls) == (0, "")
     artefact = of_balls / "artefact.toml"
