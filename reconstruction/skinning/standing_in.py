@@ -48,6 +48,8 @@ def part_of(
         Slices from low to high.
     """
     joints = [joint for joint in joints if not joint.shoulder]  # walls end there as they are
+    if not any(isinstance(skin, Skin) for skin in skins):
+        joints = []  # between walls that are all exact shapes, tested against their points
     jumps = sorted(index for skin in skins for index in _jumps(skin))
     doubtful = bool(jumps or joints)
     if not doubtful and _share_left(skins, stack) <= _FAR_SHARE:
