@@ -24,6 +24,7 @@ from reconstruction.skinning.draping import Cloud, draped
 from reconstruction.skinning.field import Field, Guess, field_of
 
 _EDGE = 1.2  # grid steps: of the mesh
+_MOST_VERTICES = 100_000  # to lay through points: the time for it grows faster than they do
 _LEAST_PART = 0.01  # of the volume: a smaller one is a heap of stray points
 _SPACING = 1.2  # times the mean distance of points on the surface is a grain, ...
 _NOISE = 2.2  # ... or so many standard deviations, or the distance of slices
@@ -71,7 +72,9 @@ def _wrapped(swarm: Swarm, guess: Guess) -> Mesh | None:
         field = field_of(points, counts, grain, guess)
     except Unfittable:
         return None
-    mesh = _level_mesh(field)
+    mesh = _level_mesh(field, _EDGE)
+    if mesh is not None and len(mesh.vertices_mm) > _MOST_VERTICES:
+        mesh = _level_mesh(field, _EDGE * math.sqrt(len(mesh.vertices_mm) / _MOST_VERTICES))
     if mesh is None:
         return None
     cloud = Cloud(points, field.outward, counts, swarm.sigma_mm, swarm.axis)
@@ -142,7 +145,7 @@ def grain_mm(swarm: Swarm) -> float:
     return max(swarm.pitch_mm, _SPACING * spacing, _NOISE * swarm.sigma_mm)
 
 
-def _level_mesh(field: Field) -> Mesh | None:
+def _level_mesh(field: Field, edge_steps: float) -> Mesh | None:
     """The zero of a field as a manifold mesh, without the heaps of stray points."""
     values, low, step = np.ascontiguousarray(field.values), field.low_mm, field.step_mm
     x, y, z = low.tolist()
@@ -151,7 +154,7 @@ def _level_mesh(field: Field) -> Mesh | None:
     def inside(a: float, b: float, c: float) -> float:
         return float(_between(values, (a - x) / step, (b - y) / step, (c - z) / step))
 
-    body = manifold3d.Manifold.level_set(inside, [x, y, z, *high.tolist()], _EDGE * step)
+    body = manifold3d.Manifold.level_set(inside, [x, y, z, *high.tolist()], edge_steps * step)
     whole = body.volume()
     parts = [each for each in body.decompose() if abs(each.volume()) > _LEAST_PART * whole]
     if not parts or not whole > 0.0:

@@ -11,6 +11,7 @@ import trimesh
 from reconstruction.comparison import measure, reference
 from reconstruction.fitting.curve import Exact
 from reconstruction.meshing import Mesh
+from reconstruction.skinning import wrapping
 from reconstruction.skinning.draping import Cloud, draped
 from reconstruction.skinning.mesh_feet import closest_in
 from reconstruction.skinning.skin import Skin
@@ -265,3 +266,16 @@ def test_a_cone_whose_last_slices_are_heaps_ends_in_a_point_among_them(seed: int
     low, high = skin.apex_deviations_mm
     assert math.isnan(low)
     assert 0.0 < high < 2.0 * pitch_mm
+
+
+def test_a_big_part_has_a_mesh_of_bounded_size_that_lies_on_it_as_well(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=6, radius=20.0)
+    swarm = swarm_of_slices(cut(ball, np.arange(-19.5, 20.0, 1.0), 300, seed=5))
+    monkeypatch.setattr(wrapping, "_MOST_VERTICES", 4_000)
+    mesh = wrapped(swarm)
+    assert mesh is not None
+    # Level sets do not come in every size; half as many again would mean that none was asked for.
+    assert 3_000 < len(mesh.vertices_mm) < 6_000
+    assert np.sqrt(np.mean(off_mm(mesh, ball) ** 2)) < SIGMA_MM / 2.0
