@@ -10,9 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from drivers.errors import DriverError, FrameError, NoReply, Refused
+from drivers.errors import DriverError, FrameError, LinkLost, NoReply, Refused
 
 _STOP_TRIES = 3
+_OFF_TRIES = 3
 
 
 @contextmanager
@@ -54,6 +55,38 @@ def insist(stop: Callable[[], object], name: str) -> None:
                 raise
         else:
             return
+
+
+def insist_dark(put_out: Callable[[], bool], name: str) -> None:
+    """Put a laser out, three tries, whatever goes wrong in the ones before; a lost link takes none.
+
+    Parameters
+    ----------
+    put_out
+        Says off, and returns whether what was read back is dark.
+    name
+        The switch's.
+
+    Raises
+    ------
+    LinkLost
+        Nothing was heard; whoever opened the link may open it again.
+    Refused
+        Not confirmed: press the emergency stop.
+    """
+    reason: DriverError | None = None
+    for _ in range(_OFF_TRIES):
+        try:
+            if put_out():
+                return
+        except LinkLost as lost:
+            raise LinkLost(f"{name}: off was not heard: {lost}") from lost
+        except DriverError as failed:
+            reason = failed
+    raise Refused(
+        f"{name}: off was not confirmed in {_OFF_TRIES} tries"
+        f"{'' if reason is None else f' ({reason})'}: press the emergency stop"
+    ) from reason
 
 
 def stop_or_refuse(stop: Callable[[], object], name: str) -> None:

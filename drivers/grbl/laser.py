@@ -14,8 +14,8 @@ from collections.abc import Callable
 from typing import Final
 
 from drivers.axis import Identity
-from drivers.endings import unless_done
-from drivers.errors import DriverError, LinkLost, NoReply, Refused
+from drivers.endings import insist_dark, unless_done
+from drivers.errors import LinkLost, NoReply, Refused
 from drivers.grbl.conversation import BANNER_S, QUIET_S, Conversation, identity_of
 from drivers.grbl.messages import State, Status
 from drivers.grbl.wire import Realtime
@@ -24,7 +24,6 @@ from drivers.laser import Guarantee
 from drivers.links import ByteLink
 from drivers.recipes import Order, Recipe, Word
 
-_OFF_TRIES: Final = 3
 _RESET_S: Final = 0.1  # a board that is up greets within milliseconds
 _REPORT_S: Final = 0.05
 
@@ -111,23 +110,17 @@ class GrblLaser:
         Refused
             Not confirmed: press the emergency stop.
         """
-        reason: DriverError | None = None
-        for _ in range(_OFF_TRIES):
-            try:
-                self._talk.reset(None, within_s=self._patience_s)
-                self._patience_s = _RESET_S
-                self._talk.dialogue.reset_asked = False
-                if not self.is_on():
-                    return
-            except LinkLost as lost:  # whoever opened it may open it again
-                self._patience_s = BANNER_S  # which may reset the board
-                raise LinkLost(f"{self._name}: off was not heard: {lost}") from lost
-            except DriverError as failed:
-                reason = failed
-        raise Refused(
-            f"{self._name}: off was not confirmed in {_OFF_TRIES} tries"
-            f"{'' if reason is None else f' ({reason})'}: press the emergency stop"
-        ) from reason
+        insist_dark(self._put_out, self._name)
+
+    def _put_out(self) -> bool:
+        try:
+            self._talk.reset(None, within_s=self._patience_s)
+            self._patience_s = _RESET_S
+            self._talk.dialogue.reset_asked = False
+            return not self.is_on()
+        except LinkLost:
+            self._patience_s = BANNER_S  # opening it again may reset the board
+            raise
 
     def is_on(self) -> bool:
         """Read the spindle's speed back."""

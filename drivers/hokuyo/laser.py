@@ -9,14 +9,13 @@ from __future__ import annotations
 from typing import Final
 
 from drivers.axis import Identity
-from drivers.endings import unless_done
-from drivers.errors import DriverError, FrameError, LinkLost, Refused
+from drivers.endings import insist_dark, unless_done
+from drivers.errors import FrameError, Refused
 from drivers.hokuyo.codes import ALREADY, OK
 from drivers.hokuyo.line import ScipLine, refusal
 from drivers.laser import Guarantee
 from drivers.recipes import Order, Recipe, Word
 
-_OFF_TRIES: Final = 3
 _LASER: Final = "LASR"
 
 
@@ -71,21 +70,12 @@ class HokuyoLaser:
         Refused
             Not confirmed: press the emergency stop.
         """
-        reason: DriverError | None = None
-        for _ in range(_OFF_TRIES):
-            try:
-                self._line.end_torn_commands()
-                self._line.dialogue.give_up(self._line.send("QT"))  # only II confirms it
-                if not self._reads_on_once():
-                    return
-            except LinkLost as lost:  # whoever opened it may open it again
-                raise LinkLost(f"{self._name}: off was not heard: {lost}") from lost
-            except DriverError as failed:
-                reason = failed
-        raise Refused(
-            f"{self._name}: off was not confirmed in {_OFF_TRIES} tries"
-            f"{'' if reason is None else f' ({reason})'}: press the emergency stop"
-        ) from reason
+        insist_dark(self._put_out, self._name)
+
+    def _put_out(self) -> bool:
+        self._line.end_torn_commands()
+        self._line.dialogue.give_up(self._line.send("QT"))  # only II confirms it
+        return not self._reads_on_once()
 
     def is_on(self) -> bool:
         """Read the laser's state back."""

@@ -15,14 +15,13 @@ from typing import Protocol
 
 from drivers.axis import Identity
 from drivers.bus import Bus
-from drivers.endings import unless_done
-from drivers.errors import DriverError, LinkLost, Refused
+from drivers.endings import insist_dark, unless_done
+from drivers.errors import Refused
 from drivers.laser import Guarantee
 from drivers.modbus_recipes import coil_is_open, without_bits, write_coil, write_register
 from drivers.recipes import Order, Recipe, Word
 from drivers.relay.registers import IDENTIFIER_WORDS, Register, text_of, watchdog_word
 
-_OFF_TRIES = 3
 _FOLLOWS_WITHIN_S = 0.1
 _POLL_S = 0.01
 _TIMED_FROM = 0x0200
@@ -126,21 +125,12 @@ class _Contact:
             )
 
     def open(self) -> None:
-        """Open it: three tries, whatever goes wrong in the ones before; a lost link takes none."""
-        reason: DriverError | None = None
-        for _ in range(_OFF_TRIES):
-            try:
-                self._output.write(self._bus, self._device_id, closed=False)
-                if self._follows(closed=False):
-                    return
-            except LinkLost as lost:  # whoever opened it may open it again
-                raise LinkLost(f"{self._name}: off was not heard: {lost}") from lost
-            except DriverError as failed:
-                reason = failed
-        raise Refused(
-            f"{self._name}: off was not confirmed in {_OFF_TRIES} tries"
-            f"{'' if reason is None else f' ({reason})'}: press the emergency stop"
-        ) from reason
+        """Open it and read back; see `insist_dark`."""
+        insist_dark(self._open_once, self._name)
+
+    def _open_once(self) -> bool:
+        self._output.write(self._bus, self._device_id, closed=False)
+        return self._follows(closed=False)
 
     def is_closed(self) -> bool:
         """Read it back."""
