@@ -26,6 +26,7 @@ from sim.crooked import Crookedness
 from sim.faults import FAULTS, Speaker, parse_faults
 from sim.lasers import LaserWiring
 from sim.parts import PARTS, find_part
+from sim.port_names import vanishing
 from sim.profilers import ProfilerFamily
 from sim.relay import Contact
 from sim.serving import Ending, Server
@@ -65,7 +66,7 @@ def main(words: Sequence[str] | None = None) -> int:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, ending.ask)
     try:
-        with TemporaryDirectory(prefix="loftscan-sim-") as folder:
+        with TemporaryDirectory(prefix="loftscan-sim-") as folder, vanishing(Path(folder)):
             _serve(wanted, Path(folder), ending)
     except ValueError as wrong:
         sys.stderr.write(f"sim: {wrong}\n")

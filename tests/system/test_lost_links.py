@@ -7,7 +7,9 @@ laser and the axes truly did. Off after a loss is this program's: the relays her
 from __future__ import annotations
 
 import os
+import signal
 import time
+from pathlib import Path
 from threading import Timer
 
 import pytest
@@ -16,6 +18,8 @@ from acquisition.errors import AcquisitionError
 from acquisition.safety.places import places_of
 from acquisition.safety.resting import REOPEN_S
 from acquisition.safety.states import State
+from acquisition.station import read_station
+from drivers.addresses import SerialAddress, parse_address
 from drivers.errors import DriverError, LinkLost, Refused
 from drivers.tcp_link import LONGEST_CONNECT_S
 from loftscan import Station, simulate
@@ -158,3 +162,17 @@ def test_a_port_that_comes_back_by_another_name_leaves_its_old_one_to_others() -
         assert now.file.read_text() == own
         others = before.file != now.file and before.file.exists()  # the kernel may reuse a number
         assert not (others and before.file.read_text() == own)
+
+
+def test_the_ports_of_a_simulator_that_was_killed_are_gone_and_never_anothers() -> None:
+    with simulate("cylinder", scale=SCALE) as station:
+        settings = read_station(station.station)
+        addresses = [parse_address(each.address) for each in (settings.table, settings.stage)]
+        names = [Path(each.device) for each in addresses if isinstance(each, SerialAddress)]
+        assert len(names) == 2
+        assert all(each.is_symlink() for each in names)
+        os.kill(station.pid, signal.SIGKILL)
+        deadline_s = time.monotonic() + 5.0
+        while any(each.is_symlink() for each in names) and time.monotonic() < deadline_s:
+            time.sleep(0.01)
+        assert not any(each.is_symlink() for each in names)
