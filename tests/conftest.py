@@ -8,9 +8,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from loftscan.result import Result
 from tests.system.command_cases import FloatArray, scanned_part, start, write_cloud
+
+# The same examples in every run, so that a run that fails can be run again. Others, of a new seed
+# each time, are looked through with --hypothesis-profile=exploring.
+settings.register_profile("steady", derandomize=True)
+settings.register_profile("exploring")
+settings.load_profile("steady")
 
 _BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"
 

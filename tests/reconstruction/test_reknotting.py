@@ -145,6 +145,8 @@ def test_gaps_reach_from_measured_centre_to_measured_centre_and_no_farther(
             for border in (u0, u1):
                 clear &= np.abs(fine + turn - border) > slack
     marks = naive_marks(curve, bridged, fine * knots[-1] / count)
+    for border in fine[marks != np.roll(marks, 1)]:  # where gaps nearly touch, they may be one
+        clear &= np.abs(fine - border) > slack
     np.testing.assert_array_equal(inside[clear], marks[clear])
     assert total_mm == pytest.approx(inside.mean() * knots[-1], abs=0.02 * knots[-1])
     for before, behind in pairwise(gaps):
