@@ -101,7 +101,7 @@ class LeadshineStage:
 
     def home(self, pause: Pause) -> AxisState:
         """Let the drive look for its reference; see `Axis.home`."""
-        self._must_be_ready()
+        before = self._must_be_ready()
         self._must_have_the_scale()
         self._homed_at = None
         timeout_s = self._settings.homing_s()
@@ -113,8 +113,10 @@ class LeadshineStage:
             with suppress(NoReply, FrameError):
                 self._write_one(Register.TRIGGER, Trigger.HOME)
             watch = self._watch(Status.HOMED)
+            # A bit that was there before may be of the previous homing: without a start it
+            # proves nothing. One that was not is new, however late the first look is.
+            watch.started = Status.HOMED not in before
             status = self._wait(watch, "homing", timeout_s, pause)
-            # The bit may be of the previous homing: without a start it proves nothing.
             if not (watch.started and Status.HOMED in status):
                 raise Refused(
                     f"{self._name}: homing found no reference, the drive stands"
@@ -254,11 +256,12 @@ class LeadshineStage:
         if not self._homed:
             raise Refused(f"{self._name}: not homed, its position means nothing; home it first")
 
-    def _must_be_ready(self) -> None:
+    def _must_be_ready(self) -> Status:
         status = self._status()
         self._must_be_sound(status)
         if Status.RUNNING in status:
             raise Refused(f"{self._name}: is still moving; stop it first")
+        return status
 
     def _must_be_sound(self, status: Status) -> None:
         if Status.FAULT in status:

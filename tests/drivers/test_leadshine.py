@@ -408,6 +408,16 @@ def test_a_homing_that_never_starts_is_refused_though_the_old_bit_stands(drive: 
     assert drive.writes(0x6002) == [(0x20,), (0x40,)]
 
 
+def test_a_first_homing_that_is_over_before_the_first_look_is_no_failure(drive: Drive) -> None:
+    late_s = 10.0  # the way to the switch takes less than 2 s
+
+    def held_up(seconds: float, /) -> None:
+        drive.now_s += seconds
+
+    drive.transaction_s = late_s
+    assert stage_on(drive).home(held_up).homed
+
+
 def test_a_switch_that_is_not_there_ends_by_the_deadline_with_a_stop(drive: Drive) -> None:
     drive.switch = None
     with pytest.raises(Refused, match=r"homing was not over after .*told to stop"):
