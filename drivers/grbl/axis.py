@@ -35,7 +35,7 @@ from drivers.grbl.conversation import (
     motion_of,
 )
 from drivers.grbl.messages import Error, State, Status, error_name, error_remedy
-from drivers.grbl.reference import PinSearch, check_home, check_travel
+from drivers.grbl.reference import PinSearch, check_home, check_travel, leave_switch
 from drivers.grbl.settings import Homing, Settings
 from drivers.grbl.stopping import Rest, come_to_rest, reset_held
 from drivers.grbl.wire import FENCE, Realtime, feed_move, jog
@@ -330,6 +330,8 @@ class GrblAxis:
     def _find_switch(self, pause: Pause) -> None:
         if not int(self._talk.setting(22)) & 1:  # grblHAL: a mask, bit 0 enables
             raise Refused(f"{self._name}: {error_name(5)}; {error_remedy(5)}", code=5)
+        with self._stopped_unless_done(_Doing.JOG):
+            leave_switch(self._talk, self._index(), self._settings, pause)
         with self._stopped_unless_done(_Doing.HOMING):
             line = homing_line(self._talk, self._settings.letter)
             self._talk.exchange(line, pause, within_s=homing_s(self._talk))

@@ -27,6 +27,8 @@ _PRINTED: Final = 0.0005  # half of a report's last digit
 _AT_HOME: Final = 0.1  # of its unit: far above a step, far below a pull-off
 _STILL: Final = 2  # idle reports after which it has come to its end
 _PAST: Final = 2.0  # how many pull-offs it looks beyond
+_LEAVINGS: Final = 10  # pull-offs, within which an axis leaves a switch that it stands on
+_SLOWLY_S: Final = 2.0  # beyond what a pull-off takes
 
 
 def travel_of(talk: Conversation, index: int) -> tuple[float, float] | None:
@@ -70,6 +72,54 @@ def check_home(talk: Conversation, index: int, name: str, machine: float) -> Non
             f"{name}: homing was answered ok, yet the controller stands at {machine:.3f}, where no"
             f" homing ends (pull-off {pull_off:g}, travel {travel:g}); check the cable, home again"
         )
+
+
+def leave_switch(talk: Conversation, index: int, settings: Settings, pause: Pause) -> None:
+    """Go off a home switch that is closed before homing begins, a pull-off at a time.
+
+    An axis that stood still on its cam, as after a reset, can be deeper in than homing pulls off,
+    which would end it with ALARM:8. With limits on the controller would take a closed switch for
+    an alarm: then it is left to `$H`.
+
+    Raises
+    ------
+    Refused
+        It stays closed.
+    """
+    letter = settings.letter
+    if letter not in talk.status(pause).pins:
+        return
+    if any(_flag(talk, code) for code in (_HARD_LIMITS, _SOFT_LIMITS)):
+        return
+    pull_off, feed_per_min = talk.rate(_PULL_OFF), talk.rate(_LOCATE)
+    downward = int(talk.setting(_HOMING_DIRECTION)) >> index & 1
+    for _ in range(_LEAVINGS):
+        status = talk.status(pause)
+        if letter not in status.pins:
+            return
+        if status.state is State.ALARM:
+            talk.exchange("$X", pause)
+        here = machine_coordinate(talk, status, letter)
+        place = here + pull_off if downward else here - pull_off
+        talk.exchange(jog(letter, place, feed_per_min), pause)
+        _wait_until_idle(talk, pull_off / feed_per_min * 60.0 + _SLOWLY_S, settings, pause)
+    raise Refused(
+        f"{settings.name}: the home switch stays closed over {_LEAVINGS * pull_off:g}"
+        f" {settings.unit}; check its wiring, and $5 and $23 of the controller"
+    )
+
+
+def _wait_until_idle(talk: Conversation, within_s: float, settings: Settings, pause: Pause) -> None:
+    upsets, still = talk.dialogue.upsets, 0
+    deadline_s = talk.clock() + within_s
+    while still < _STILL:
+        if talk.clock() >= deadline_s:
+            raise Refused(f"{settings.name}: did not leave its home switch; check the axis")
+        talk.until(lambda: False, settings.poll_s, pause)
+        status = talk.status(pause)
+        if talk.dialogue.upsets != upsets:
+            raise talk.upset("leaving the switch")
+        still = still + 1 if status.state is State.IDLE else 0
 
 
 def _flag(talk: Conversation, code: int) -> bool:

@@ -63,6 +63,35 @@ def test_steps_that_were_lost_are_found_by_the_switch(lost_deg) -> None:
     assert not bench.table.state().homed
 
 
+@pytest.mark.parametrize("deep_deg", [0.5, 2.5, 4.9])
+def test_a_table_that_stands_on_its_cam_leaves_it_before_it_homes(deep_deg: float) -> None:
+    made = GrblSettings()  # its cam is 5 degrees long, its pull-off 2
+    bench = Bench(made)
+    bench.axis = world_axis(
+        "table", math.radians(made.switch_deg + deep_deg), Limits(math.pi, 30.0)
+    )
+    bench.board = GrblBoard(bench.axis, made)
+    bench.table.home(bench.pause)
+    home_deg = math.degrees(bench.axis.motor(bench.now_s)) % 360.0
+    assert math.isclose(home_deg, made.switch_deg - made.pull_off_deg, abs_tol=0.05)
+    assert abs(bench.table.check_reference(bench.pause)) < math.radians(0.05)
+
+
+def test_a_switch_that_stays_closed_ends_the_homing_with_the_axis_at_rest() -> None:
+    bench = Bench(GrblSettings(cam_deg=359.0))
+    with pytest.raises(Refused, match=r"stays closed over 20 deg; check its wiring"):
+        bench.table.home(bench.pause)
+    assert not bench.table.state().homed
+    assert b"$H\n" not in b"".join(bench.heard)
+
+
+def test_with_the_boards_limits_on_a_closed_switch_is_the_boards_own_affair() -> None:
+    bench = Bench(GrblSettings(cam_deg=359.0))
+    bench.set(b"$21=1")
+    with pytest.raises(Refused, match="did not clear the switch"):
+        bench.table.home(bench.pause)
+
+
 def test_a_gear_that_is_not_what_everybody_says_is_found_by_a_turn() -> None:
     bench = Bench(GrblSettings(steps_per_deg=80.0 * 1.003))
     bench.set(b"$100=80")  # the board believes the station, and both are wrong

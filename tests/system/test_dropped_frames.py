@@ -41,7 +41,8 @@ def scanned(profiler: str, faults: str, out: str) -> tuple[list[Sweep], dict[str
     rings = ring(10.0, 12.0, 2.0, STOPS).ring
     plan = Plan(ring=rings, step_and_shoot=StepAndShoot(settle_s=0.0))
     Path("plan.toml").write_text(write_plan(plan))
-    with simulate(seed=3, scale=SCALES.get(profiler, 20.0), profiler=profiler, faults=faults) as station:
+    scale = SCALES.get(profiler, 20.0)
+    with simulate(seed=3, scale=scale, profiler=profiler, faults=faults) as station:
         words = ("scan", station, "plan.toml", "--attended", "--out", f"{out}.scan", "--json")
         ran = succeeded(run(*words))
         points = read_station(station.station).profiler.points_per_profile
