@@ -138,7 +138,9 @@ def growth(life: Sequence[dict[str, Any]], name: str) -> tuple[float, float]:
     def around(share: float) -> float:
         low = begun_s + (ended_s - begun_s) * share
         high = begun_s + (ended_s - begun_s) * (share + 0.1)
-        return median([each[name] for each in life if low <= each["time_s"] <= high] or [math.nan])
+        nearest = min(life, key=lambda each: abs(each["time_s"] - (low + high) / 2.0))
+        within = [each for each in life if low <= each["time_s"] <= high]
+        return median(each[name] for each in within or [nearest])
 
     return around(WARM_SHARE), around(0.9)
 
