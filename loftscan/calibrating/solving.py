@@ -1,9 +1,9 @@
 """The joint solve: robust first, then plain without what was robustly seen to be stray.
 
 Levenberg and Marquardt's way with the analytic Jacobian; a soft loss bends nothing near the
-solution and keeps strays from pulling. Then points farther than `_STRAY` standard deviations are set aside, the
-noise of each scan is told anew from the spread of its residuals, and the plain least squares of the
-rest has the covariance that is told.
+solution and keeps strays from pulling. Then points farther than `_STRAY` standard deviations are
+set aside, the noise of each scan is told anew from the spread of its residuals, and the plain least
+squares of the rest has the covariance that is told.
 
 Noise of neighbours is alike where they share a speckle. Then n points know less than n: the
 covariance is multiplied by 1 + 2 (r1 + r2 + ...), the correlation of residuals along a profile
