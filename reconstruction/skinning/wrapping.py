@@ -9,7 +9,7 @@ points -> inside and outside (`field`) -> level surface -> laid through the poin
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import manifold3d
 import numpy as np
@@ -22,6 +22,7 @@ from reconstruction.manifolds import manifold_of, mesh_of
 from reconstruction.meshing import Mesh
 from reconstruction.skinning.draping import Cloud, draped
 from reconstruction.skinning.field import Field, Guess, field_of
+from reconstruction.skinning.handles import without_weak_handles
 
 _EDGE = 1.2  # grid steps: of the mesh
 _MOST_VERTICES = 100_000  # to lay through points: the time for it grows faster than they do
@@ -32,6 +33,7 @@ _UNSEEN = 2.5  # grains: farther from all points a vertex stands on none
 _SAMPLES, _FEWER = 300_000, 50_000
 _APART = 0.75  # grains
 _FAR = 4.0  # standard deviations
+_WEAK = 0.15  # of the step from outside to inside: a handle that hangs on less is noise
 _LEFT = 0.01  # of the points: more aside, and the guess of what is inside may be wrong
 
 
@@ -72,16 +74,30 @@ def _wrapped(swarm: Swarm, guess: Guess) -> Mesh | None:
         field = field_of(points, counts, grain, guess)
     except Unfittable:
         return None
-    mesh = _level_mesh(field, _EDGE)
-    if mesh is not None and len(mesh.vertices_mm) > _MOST_VERTICES:
-        mesh = _level_mesh(field, _EDGE * math.sqrt(len(mesh.vertices_mm) / _MOST_VERTICES))
+    mesh = _bounded_mesh(field)
     if mesh is None:
         return None
+    if _rings(mesh):
+        simpler = _bounded_mesh(replace(field, values=without_weak_handles(field.values, _WEAK)))
+        mesh = simpler if simpler is not None and _rings(simpler) < _rings(mesh) else mesh
     cloud = Cloud(points, field.outward, counts, swarm.sigma_mm, swarm.axis)
     vertices = draped(mesh.vertices_mm, mesh.faces, cloud, grain_mm=grain)
     mesh = _between_planes(Mesh(vertices, mesh.faces, mesh.synthetic), swarm)
     away, _ = cKDTree(points).query(mesh.vertices_mm)
     return Mesh(mesh.vertices_mm, mesh.faces, np.asarray(away > _UNSEEN * grain))
+
+
+def _rings(mesh: Mesh) -> int:
+    """Handles of all bodies together."""
+    body = manifold_of(mesh)
+    return sum(each.genus() for each in body.decompose())
+
+
+def _bounded_mesh(field: Field) -> Mesh | None:
+    mesh = _level_mesh(field, _EDGE)
+    if mesh is None or len(mesh.vertices_mm) <= _MOST_VERTICES:
+        return mesh
+    return _level_mesh(field, _EDGE * math.sqrt(len(mesh.vertices_mm) / _MOST_VERTICES))
 
 
 def _between_planes(mesh: Mesh, swarm: Swarm) -> Mesh:
