@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from reconstruction.arrays import FloatArray, frozen
-from reconstruction.distances import polygon_distances
+from reconstruction.distances import distances_to_nearest
 from reconstruction.errors import TooFewPoints
 from reconstruction.fitting.curve import Exact, FittedCurve
 from reconstruction.sections import Residual, SectionCurve, lift_curve, measure_residual
@@ -145,13 +145,12 @@ def _distances(planar_mm: FloatArray, fitted: tuple[FittedCurve, ...]) -> FloatA
 
     Loops run counter-clockwise and holes clockwise, so that inside the material is negative.
     """
-    nearest = np.full(len(planar_mm), np.inf)
+    polygons = []
     for each in fitted:
         steps = max(_LEAST_STEPS, _STEPS_A_SPAN * len(each.curve.control_points_mm))
         polygon = each(np.linspace(*each.domain, steps, endpoint=not each.closed))
-        found = polygon_distances(planar_mm, polygon, closed=each.closed)
-        nearest = np.where(np.abs(found) < np.abs(nearest), found, nearest)
-    return nearest
+        polygons.append((polygon, each.closed))
+    return distances_to_nearest(planar_mm, polygons)
 
 
 def _length_mm(curve: FittedCurve, start: float, end: float) -> float:
