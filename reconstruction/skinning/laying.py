@@ -219,7 +219,7 @@ def _compressed(
     spectrum = np.sqrt(weights)[:, None] * (spectrum - spectrum.mean(axis=0))
     within = basis.T @ spectrum
     beyond = float(((spectrum - basis @ within) ** 2).sum())
-    return beyond, np.linalg.qr(within.T, mode="r").T
+    return beyond, np.asarray(np.linalg.qr(within.T, mode="r")).T
 
 
 def _interpolator(t: FloatArray, knots: FloatArray, *, closed: bool) -> FloatArray:
