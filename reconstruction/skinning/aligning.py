@@ -65,15 +65,37 @@ class Stations:
         return np.asarray(np.interp(inside, np.arange(count + 1.0), around) + turns)
 
 
-def align(outlines: Sequence[Outline], count: int, *, cyclic: bool = False) -> Stations:
+@dataclass(frozen=True, slots=True, eq=False)
+class Tables:
+    """Closed outlines as places evenly along them, which no alignment changes."""
+
+    places_mm: FloatArray  # (k, table, 3), counter-clockwise
+    cell_shares: tuple[FloatArray, ...]  # k of (cells,), of the outline's length
+
+    def without(self, row: int) -> Tables:
+        """All but one outline."""
+        kept = self.cell_shares[:row] + self.cell_shares[row + 1 :]
+        return Tables(np.delete(self.places_mm, row, axis=0), kept)
+
+
+def align(
+    outlines: Sequence[Outline],
+    count: int,
+    *,
+    cyclic: bool = False,
+    tables_of: Tables | None = None,
+) -> Stations:
     """Lay `count` stations on every closed outline.
 
     Parameters
     ----------
     cyclic
         The last outline is followed by the first.
+    tables_of
+        The outlines' tables, where they are known already.
     """
-    tables, cell_shares = _tables(outlines)
+    known = tables_of or tabled(outlines)
+    tables, cell_shares = known.places_mm, known.cell_shares
     axes = outlines[0].frame.axes[:2]
     doubts = np.array([float((each.fitted.deviations_mm**2).mean()) for each in outlines])
     starts = _seams(tables @ axes.T, doubts)
@@ -94,7 +116,8 @@ def align_between(
     spans, a_span
         About how many spans there are around, and how many stations each of them has.
     """
-    tables, cell_shares = _tables(outlines)
+    known = tabled(outlines)
+    tables, cell_shares = known.places_mm, known.cell_shares
     faces = np.diff(creases, axis=1, append=creases[:, :1] + 1.0)
     counts = np.maximum(np.rint(spans * faces.mean(axis=0)).astype(np.int64), _LEAST_SPANS)
     # The seam lies in the middle of the widest face: no edge is cut in two.
@@ -126,8 +149,8 @@ def _even(starts: FloatArray, faces: FloatArray, count: int) -> FloatArray:
     return starts[:, None] + faces[:, None] * (np.arange(count) / count)
 
 
-def _tables(outlines: Sequence[Outline]) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-    """Places evenly along each outline, counter-clockwise, (k, table, 3); the cells' shares."""
+def tabled(outlines: Sequence[Outline]) -> Tables:
+    """Places evenly along each outline, and where on it its cells belong."""
     tables, cells = np.empty((len(outlines), _TABLE, 3)), []
     at = np.arange(_TABLE) / _TABLE
     for k, outline in enumerate(outlines):
@@ -137,11 +160,13 @@ def _tables(outlines: Sequence[Outline]) -> tuple[FloatArray, tuple[FloatArray, 
         along = 1.0 - walk.along[way] if walk.clockwise else walk.along
         even = np.stack([np.interp(at, along, x) for x in walk.planar_mm[way].T], axis=1)
         tables[k] = outline.frame.to_part(even)
-    return tables, tuple(cells)
+    return Tables(tables, tuple(cells))
 
 
 def shares_along(outline: Outline, u: FloatArray) -> FloatArray:
     """Shares of an outline's length, counter-clockwise, at parameters of its curve."""
+    if not len(u):  # most outlines have no corners
+        return np.empty(0)
     return _walk(outline).shares_of(u)
 
 
