@@ -337,10 +337,8 @@ def _look_around(
         at = shares[m] * size
         low = int(np.floor(at))
         part = at - low
-        while low >= size:
-            low -= size
-        while low < 0:
-            low += size
+        if low < 0 or low >= size:  # seldom, and a remainder takes long
+            low %= size
         high = low + 1 if low + 1 < size else 0
         x, y, z = table[low, 0], table[low, 1], table[low, 2]
         dx, dy, dz = table[high, 0] - x, table[high, 1] - y, table[high, 2] - z
