@@ -1,19 +1,22 @@
 """Signed distances of points to a polygon in the plane: what a section's residual is made of.
 
-Segments are filed in a grid of buckets; a point looks through the rings of buckets around its own
-until no farther ring can hold a nearer segment, so the answer is exact, near and far.
+Segments that follow each other lie together, so their order is a tree of boxes as it is: a point
+goes down into the nearer box first, and into no box that can hold nothing nearer than it has
+found. The answer is exact, near and far.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
 
-from reconstruction.arrays import FloatArray, IntArray
+from reconstruction.arrays import FloatArray
 
-_BUCKETS_A_SEGMENT = 4
+_LEAF = 4  # segments
+_DEEP = 64  # a point's way down holds a box a level
 
 
 def polygon_distances(
@@ -35,100 +38,121 @@ def polygon_distances(
     -------
     (n,) in mm
     """
-    corners = np.ascontiguousarray(polygon_mm, dtype=np.float64)
-    low = corners.min(axis=0)
-    sides = np.maximum(corners.max(axis=0) - low, 1e-9)
-    edge = math.sqrt(float(sides[0] * sides[1]) / (_BUCKETS_A_SEGMENT * len(corners)))
-    edge = max(edge, float(sides.max()) / 1024)
-    shape = np.maximum(1, np.ceil(sides / edge)).astype(np.int64)
-    segments = len(corners) - (not closed)
-    starts, filed = _file_segments(corners, segments, low, edge, shape)
-    distances = np.empty(len(points_mm))
-    points = np.ascontiguousarray(points_mm)
-    _measure(points, corners, segments, low, edge, shape, starts, filed, distances)
+    return distances_to_nearest(points_mm, [(polygon_mm, closed)])
+
+
+def distances_to_nearest(
+    points_mm: FloatArray, polygons: Sequence[tuple[FloatArray, bool]]
+) -> FloatArray:
+    """Distance of every point to the nearest of some polygons, negative on the left of its way.
+
+    Parameters
+    ----------
+    points_mm : (n, 2)
+    polygons
+        Of each the corners (m, 2) and whether it is closed; the largest first are fastest, for a
+        point does not look farther than what it has found already.
+
+    Returns
+    -------
+    (n,) in mm; of two polygons equally near the first tells the sign; inf without any
+    """
+    points = np.ascontiguousarray(points_mm, dtype=np.float64)
+    distances = np.full(len(points), np.inf)
+    for polygon_mm, closed in polygons:
+        corners = np.ascontiguousarray(polygon_mm, dtype=np.float64)
+        _measure(points, corners, len(corners) - (not closed), distances)
     return distances
 
 
-@njit(cache=True)
-def _file_segments(
-    corners: FloatArray, segments: int, low: FloatArray, edge: float, shape: IntArray
-) -> tuple[IntArray, IntArray]:
-    """Segments by bucket, compressed: bucket b holds ``filed[starts[b]:starts[b + 1]]``."""
-    starts = np.zeros(shape[0] * shape[1] + 1, np.int64)
-    for counting in (True, False):
-        if not counting:
-            filed = np.empty(starts[-1], np.int64)
-            cursors = starts[:-1].copy()
-        for k in range(segments):
-            a, b = corners[k], corners[(k + 1) % len(corners)]
-            i0 = _bucket(min(a[0], b[0]), low[0], edge, shape[0])
-            i1 = _bucket(max(a[0], b[0]), low[0], edge, shape[0])
-            j0 = _bucket(min(a[1], b[1]), low[1], edge, shape[1])
-            j1 = _bucket(max(a[1], b[1]), low[1], edge, shape[1])
-            for i in range(i0, i1 + 1):
-                for j in range(j0, j1 + 1):
-                    if counting:
-                        starts[i * shape[1] + j + 1] += 1
-                    else:
-                        filed[cursors[i * shape[1] + j]] = k
-                        cursors[i * shape[1] + j] += 1
-        if counting:
-            starts = np.cumsum(starts)
-    return starts, filed
-
-
-@njit(cache=True)
-def _bucket(value: float, low: float, edge: float, count: int) -> int:
-    return min(max(math.floor((value - low) / edge), 0), count - 1)
-
-
-@njit(cache=True)
-def _measure(
-    points: FloatArray,
-    corners: FloatArray,
-    segments: int,
-    low: FloatArray,
-    edge: float,
-    shape: IntArray,
-    starts: IntArray,
-    filed: IntArray,
-    distances: FloatArray,
-) -> None:
-    high_x, high_y = low[0] + shape[0] * edge, low[1] + shape[1] * edge
+@njit(cache=True, nogil=True, error_model="numpy")
+def _measure(points: FloatArray, corners: FloatArray, segments: int, distances: FloatArray) -> None:
+    """Put the signed distance to the polygon where it is smaller than what stands there."""
+    lines = _lines(corners, segments)
+    boxes = _boxes(corners, segments)
+    leaves = len(boxes) // 2
+    waiting, squares = np.empty(_DEEP, np.int64), np.empty(_DEEP)
     for n in range(len(points)):
         x, y = points[n, 0], points[n, 1]
-        # How far the point is outside the grid bounds everything in it from below (a convex box).
-        away_x = max(low[0] - x, 0.0, x - high_x)
-        away_y = max(low[1] - y, 0.0, y - high_y)
-        away = away_x * away_x + away_y * away_y
-        row = _bucket(x, low[0], edge, shape[0])
-        column = _bucket(y, low[1], edge, shape[1])
-        best, nearest = np.inf, -1
-        ring = 0
-        while ring <= max(shape[0], shape[1]):
-            for i in range(max(0, row - ring), min(shape[0], row + ring + 1)):
-                inner = abs(i - row) < ring
-                for j in range(column - ring, column + ring + 1, 2 * ring if inner else 1):
-                    if j < 0 or j >= shape[1]:
-                        continue
-                    bucket = i * shape[1] + j
-                    for f in range(starts[bucket], starts[bucket + 1]):
-                        square = _square_to_segment(x, y, corners, filed[f])
-                        if square < best:
-                            best, nearest = square, filed[f]
-            if best <= away + (ring * edge) ** 2:
-                break
-            ring += 1
-        distances[n] = math.sqrt(best) * _side(x, y, corners, segments, nearest)
+        best, nearest = distances[n] * distances[n], -1
+        waiting[0], squares[0], count = 1, _square_to_box(x, y, boxes, 1), 1
+        while count > 0:
+            count -= 1
+            if squares[count] >= best:
+                continue
+            box = waiting[count]
+            while box < leaves:
+                near, far = 2 * box, 2 * box + 1
+                near_square = _square_to_box(x, y, boxes, near)
+                far_square = _square_to_box(x, y, boxes, far)
+                if far_square < near_square:
+                    near, far = far, near
+                    near_square, far_square = far_square, near_square
+                if far_square < best:
+                    waiting[count], squares[count] = far, far_square
+                    count += 1
+                box = near
+                if near_square >= best:
+                    break
+            if box >= leaves:
+                first = (box - leaves) * _LEAF
+                for k in range(first, min(first + _LEAF, segments)):
+                    square = _square_to(x, y, lines, k)
+                    if square < best:
+                        best, nearest = square, k
+        if nearest >= 0:
+            distances[n] = math.sqrt(best) * _side(x, y, corners, segments, nearest)
 
 
-@njit(cache=True)
-def _square_to_segment(x: float, y: float, corners: FloatArray, k: int) -> float:
-    a, b = corners[k], corners[(k + 1) % len(corners)]
-    ux, uy = b[0] - a[0], b[1] - a[1]
-    wx, wy = x - a[0], y - a[1]
-    length = ux * ux + uy * uy
-    share = min(max((wx * ux + wy * uy) / length, 0.0), 1.0) if length > 0.0 else 0.0
+@njit(cache=True, nogil=True)
+def _boxes(corners: FloatArray, segments: int) -> FloatArray:
+    """Low and high corners of the boxes of the tree, (2 leaves, 4); inf where one is empty.
+
+    In box b lie the boxes 2 b and 2 b + 1; the root is 1, the last half are the leaves.
+    """
+    leaves = 1
+    while leaves * _LEAF < segments:
+        leaves *= 2
+    boxes = np.full((2 * leaves, 4), np.inf)
+    boxes[:, 2:] = -np.inf
+    for k in range(segments):
+        box = boxes[leaves + k // _LEAF]
+        for corner in (k, (k + 1) % len(corners)):
+            for axis in range(2):
+                box[axis] = min(box[axis], corners[corner, axis])
+                box[2 + axis] = max(box[2 + axis], corners[corner, axis])
+    for b in range(leaves - 1, 0, -1):
+        for axis in range(2):
+            boxes[b, axis] = min(boxes[2 * b, axis], boxes[2 * b + 1, axis])
+            boxes[b, 2 + axis] = max(boxes[2 * b, 2 + axis], boxes[2 * b + 1, 2 + axis])
+    return boxes
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _square_to_box(x: float, y: float, boxes: FloatArray, b: int) -> float:
+    dx = max(boxes[b, 0] - x, x - boxes[b, 2], 0.0)
+    dy = max(boxes[b, 1] - y, y - boxes[b, 3], 0.0)
+    return float(dx * dx + dy * dy)
+
+
+@njit(cache=True, nogil=True)
+def _lines(corners: FloatArray, segments: int) -> FloatArray:
+    """Start, way and inverse square length of every segment, (segments, 5); 0 without length."""
+    lines = np.empty((segments, 5))
+    for k in range(segments):
+        a, b = corners[k], corners[(k + 1) % len(corners)]
+        ux, uy = b[0] - a[0], b[1] - a[1]
+        square = ux * ux + uy * uy
+        lines[k, 0], lines[k, 1], lines[k, 2], lines[k, 3] = a[0], a[1], ux, uy
+        lines[k, 4] = 1.0 / square if square > 0.0 else 0.0
+    return lines
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _square_to(x: float, y: float, lines: FloatArray, k: int) -> float:
+    wx, wy = x - lines[k, 0], y - lines[k, 1]
+    ux, uy = lines[k, 2], lines[k, 3]
+    share = min(max((wx * ux + wy * uy) * lines[k, 4], 0.0), 1.0)
     dx, dy = wx - share * ux, wy - share * uy
     return float(dx * dx + dy * dy)
 

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from reconstruction.arrays import FloatArray, frozen
-from reconstruction.distances import polygon_distances
+from reconstruction.distances import distances_to_nearest
 from reconstruction.errors import TooFewPoints
+from reconstruction.fitting.cells import bounds
 from reconstruction.fitting.curve import Exact, FittedCurve
 from reconstruction.sections import Residual, SectionCurve, lift_curve, measure_residual
 from reconstruction.skinning.drawing import SliceOutlines, draw_outlines
@@ -112,16 +113,19 @@ def draw_fitted_section(
         return drawn, None
     planar = np.ascontiguousarray(piece.frame.to_plane(piece.points_mm)[:, :2])
     distances = _distances(planar, fitted)
-    size_mm = float(np.ptp(planar, axis=0).max())
+    low, high = bounds(planar)
+    size_mm = float((high - low).max())
     far = np.abs(distances) > LEFT_OUT_SIGMAS * max(_sigma_mm(fitted), _EXACT * size_mm)
+    every = measure_residual(distances, range_mm=_RESIDUAL_RANGE_MM)
+    near = measure_residual(distances[~far], range_mm=_RESIDUAL_RANGE_MM) if far.any() else every
     section = FittedSection(
         index=piece.index,
         points=len(piece.points_mm),
         outlines=drawn,
         length_mm=sum(_length_mm(each, *each.domain) for each in fitted),
         gap_mm=sum(_length_mm(each, *gap) for each in fitted for gap in each.gap_intervals),
-        residual=measure_residual(distances[~far], range_mm=_RESIDUAL_RANGE_MM),
-        residual_all=measure_residual(distances, range_mm=_RESIDUAL_RANGE_MM),
+        residual=near,
+        residual_all=every,
         left_out_mm=piece.points_mm[far][:_LEFT_OUT_DRAWN],
         left_out=int(far.sum()),
     )
@@ -145,13 +149,12 @@ def _distances(planar_mm: FloatArray, fitted: tuple[FittedCurve, ...]) -> FloatA
 
     Loops run counter-clockwise and holes clockwise, so that inside the material is negative.
     """
-    nearest = np.full(len(planar_mm), np.inf)
+    polygons = []
     for each in fitted:
         steps = max(_LEAST_STEPS, _STEPS_A_SPAN * len(each.curve.control_points_mm))
         polygon = each(np.linspace(*each.domain, steps, endpoint=not each.closed))
-        found = polygon_distances(planar_mm, polygon, closed=each.closed)
-        nearest = np.where(np.abs(found) < np.abs(nearest), found, nearest)
-    return nearest
+        polygons.append((polygon, each.closed))
+    return distances_to_nearest(planar_mm, polygons)
 
 
 def _length_mm(curve: FittedCurve, start: float, end: float) -> float:

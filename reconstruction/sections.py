@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numba import njit
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray, frozen
 from reconstruction.nurbs import Curve
@@ -59,17 +60,30 @@ class Residual:
 
 def measure_residual(distances_mm: FloatArray, *, range_mm: float) -> Residual:
     """Sum up signed distances (n,); the histogram spans -range to range in 2001 bins."""
-    edges = _edges(range_mm)
-    inside = np.clip(distances_mm, -range_mm, range_mm)
-    bins, _ = np.histogram(inside, bins=edges)
-    return Residual(
-        count=len(distances_mm),
-        total_mm=float(distances_mm.sum()),
-        squares_mm2=float((distances_mm**2).sum()),
-        max_mm=float(np.abs(distances_mm).max(initial=0.0)),
-        edges_mm=edges,
-        bins=bins,
-    )
+    edges, bins = _edges(range_mm), np.zeros(_BINS, np.int64)
+    total, squares, most = _sum_up(distances_mm, edges, bins)
+    return Residual(len(distances_mm), total, squares, most, edges, bins)
+
+
+@njit(cache=True, nogil=True)
+def _sum_up(values: FloatArray, edges: FloatArray, bins: IntArray) -> tuple[float, float, float]:
+    """Sum, sum of squares and largest size of values, which are counted in even bins."""
+    last = len(bins) - 1
+    low, high = edges[0], edges[last + 1]
+    scale = len(bins) / (high - low)
+    total = squares = most = 0.0
+    for value in values:
+        total += value
+        squares += value * value
+        most = max(most, abs(value))
+        inside = min(max(value, low), high)
+        at = min(int((inside - low) * scale), last)
+        while at > 0 and inside < edges[at]:  # rounding, at an edge
+            at -= 1
+        while at < last and inside >= edges[at + 1]:
+            at += 1
+        bins[at] += 1
+    return total, squares, most
 
 
 @lru_cache(maxsize=8)

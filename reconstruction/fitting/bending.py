@@ -25,7 +25,7 @@ _SHARES = (5 / 18, 8 / 18, 5 / 18)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def control_normals(control: FloatArray, *, closed: bool) -> FloatArray:
+def control_normals(control: FloatArray, closed: bool) -> FloatArray:  # noqa: FBT001 (a kernel)
     """Unit left normals, one for each control point, (n, 2)."""
     n = len(control)
     normals = np.empty((n, 2))
@@ -58,7 +58,10 @@ def span_lengths(control: FloatArray, spans: int) -> FloatArray:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def curvature_changes(
-    control: FloatArray, normals: FloatArray, spans: int, *, closed: bool
+    control: FloatArray,
+    normals: FloatArray,
+    spans: int,
+    closed: bool,  # noqa: FBT001 (a kernel)
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Curvature at the knots, its change over each span, and that change's derivatives.
 

@@ -17,6 +17,7 @@ from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.errors import TooFewPoints
 from reconstruction.fitting.cells import Heaps, Int32Array, heap_up
 from reconstruction.fitting.frames import frames
+from reconstruction.fitting.nearness import medians_of, nearest_few
 
 _SINGLY = 3000  # points up to which each is a place of its own
 _SAMPLE = 5000  # points that tell the middle and the thickness of a band
@@ -134,11 +135,11 @@ def _nearest(at: FloatArray, most: int) -> tuple[IntArray, FloatArray]:
     count = len(at)
     if count < 2:
         return np.zeros((count, 1), np.int64), np.zeros(count)
-    distances, neighbours = (np.asarray(v) for v in cKDTree(at).query(at, k=min(_KNOWN, count)))
+    distances, neighbours = nearest_few(at, _KNOWN)
     around = min(max(_NEIGHBOUR, count // 12), most, count - 1)
     k = min(_NEIGHBOUR, around)
-    spacing = np.median(distances[:, k][neighbours[:, : around + 1]], axis=1) * (_NEIGHBOUR / k)
-    return neighbours, np.asarray(spacing)
+    spacing = medians_of(distances[:, k : k + 1].copy(), neighbours[:, : around + 1])[:, 0]
+    return neighbours, spacing * (_NEIGHBOUR / k)
 
 
 def middling(values: FloatArray | IntArray, weights: FloatArray | IntArray) -> float:

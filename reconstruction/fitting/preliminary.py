@@ -58,23 +58,45 @@ def smoothed(
     """Control points and degrees of freedom of the smoothing spline at parameters (m,)."""
     unknowns = spans if closed else spans + 3
     data, right = normal_equations(t, places, unknowns, closed=closed)
-    rows, still = _third_differences(spans), np.zeros(spans)
     rank = spans - 1 if closed else spans
-    scatter = float(places.var()) * 1e-3 + 1e-300
-    ratio = 1.0
+    control, edf = _likeliest(
+        data, right, places, t, _third_differences(spans), rank, float(places.var())
+    )
+    return control, edf
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _likeliest(
+    data: FloatArray, right: FloatArray, places: FloatArray, t: FloatArray, rows: FloatArray,
+    rank: int, variance: float,
+) -> tuple[FloatArray, float]:  # fmt: skip
+    """Control points and degrees of freedom at the stiffness of greatest restricted likelihood."""
+    unknowns, spans = len(data), len(rows)
+    still, nothing = np.zeros(spans), np.zeros((unknowns, 1))
+    scatter = variance * 1e-3 + 1e-300
+    ratio, edf, control = 1.0, 0.0, right
+    largest = data[:, 0].max()
     for _ in range(_ROUNDS):
         band = data.copy()
-        add_penalty(band, np.zeros((unknowns, 1)), rows, still, np.full(spans, ratio))
-        band[:, 0] += 1e-12 * data[:, 0].max()
-        factor = factorise(band)
-        control = solve(*factor, right)
-        shares = ratio * row_variances(rows, inverse_band(*factor))
-        edf = unknowns - float(shares.sum())
-        misfits = places - evaluate(control, t)[0]
-        scatter = float((misfits**2).sum()) / (2 * max(len(t) - edf, 0.5 + 0.1 * len(t))) + 1e-300
-        bends = np.diff(control[np.arange(unknowns + 3 * closed) % unknowns], n=3, axis=0)
-        form = float((bends**2).sum()) / scatter
-        ratio *= min(max(2 * max(rank - shares.sum(), 0.1) / max(ratio * form, 1e-3), 0.05), 20.0)
+        add_penalty(band, nothing, rows, still, np.full(spans, ratio))
+        for j in range(unknowns):
+            band[j, 0] += 1e-12 * largest
+        main, border, corner = factorise(band)
+        control = solve(main, border, corner, right)
+        spent = ratio * row_variances(rows, inverse_band(main, border, corner)).sum()
+        edf = unknowns - spent
+        off = places - evaluate(control, t)[0]
+        freedom = max(len(t) - edf, 0.5 + 0.1 * len(t))
+        scatter = (off * off).sum() / (2 * freedom) + 1e-300
+        form = 0.0
+        for i in range(spans):
+            for d in range(2):
+                bend = 0.0
+                for k in range(4):
+                    bend += rows[i, k] * control[(i + k) % unknowns, d]
+                form += bend * bend
+        form /= scatter
+        ratio *= min(max(2 * max(rank - spent, 0.1) / max(ratio * form, 1e-3), 0.05), 20.0)
         ratio = min(max(ratio, 1e-6), 1e9)
     return control, edf
 

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from reconstruction.arrays import BoolArray, FloatArray
 from reconstruction.fitting.frames import frames
+from reconstruction.fitting.nearness import medians_of
 from reconstruction.fitting.places import Places, middling
 
 _HOODS = np.array([6, 9, 13, 19, 27])  # neighbours that may tell a direction
@@ -51,7 +52,7 @@ def look_around(places: Places) -> Sight:
     neighbours = places.neighbours
     found = frames(places.at, neighbours, _HOODS)
     width = math.sqrt(12.0) * middling(found[:, 2], places.counts)
-    across, slender, wider = np.median(found[neighbours[:, :_ALIKE], 2:], axis=1).T
+    across, slender, wider = medians_of(found[:, 2:].copy(), neighbours[:, :_ALIKE]).T
     ahead = np.clip(found[:, 3] / _SLENDER, 1.0, _AHEAD)
     scatter = np.where(slender > _BAND, across, np.inf)
     return Sight(

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from reconstruction.arrays import FloatArray, IntArray, frozen
@@ -245,40 +246,70 @@ def _round(
     closed: bool,
 ) -> tuple[Fit, FloatArray]:
     """One linearisation, one solve, one step of the stiffness and of the noise."""
-    spans = len(hats)
-    normals = control_normals(control, closed=closed)
-    _, changes, rows = curvature_changes(control, normals, spans, closed=closed)
-    band, right = np.zeros((len(control), 4)), np.zeros((len(control), 1))
-    distances, scatters, weights = sweep(
-        control, normals, t, cells.counts, cells.counts / noise.kinship, cells.means_mm,
-        cells.covariances_mm2,
-        noise.variance_mm2 * noise.relative, band, right,
-        closed=closed, rounds=2 if turn < 2 else 1,
+    solved = _solved(
+        control, t, cells.counts, noise.kinship, cells.means_mm, cells.covariances_mm2,
+        noise.relative, noise.variance_mm2, hats @ log_stiffness, leash.start_mm,
+        leash.variance_mm2, closed=closed, rounds=2 if turn < 2 else 1,
     )  # fmt: skip
-    lengths = span_lengths(control, spans)
-    stiffness = np.exp(hats @ log_stiffness) / np.maximum(lengths, 1e-3 * lengths.mean())
-    add_penalty(band, right, rows, changes, stiffness)
-    band[:, 0] += 1.0 / leash.variance_mm2
-    right[:, 0] -= ((control - leash.start_mm) * normals).sum(axis=1) / leash.variance_mm2
-    band[:, 0] += _RIDGE * band[:, 0].max()
-    factor = factorise(band)
-    moves, inverse = solve(*factor, right), inverse_band(*factor)
-    shares = stiffness * row_variances(rows, inverse)
-    forms = stiffness * (changes + row_values(rows, moves)) ** 2
+    moved, moves, distances, scatters, weights, inverse, shares, forms, held, square = solved
     edf = len(control) - float(shares.sum())
     learnt = log_stiffness + _fellner_schall(shares, forms, log_stiffness, hats, closed=closed)
-    held = cells.counts * weights
-    square = float((held * (distances**2 + scatters) / noise.relative).sum())
-    # A linearisation is good for a span; farther off the curve would fold.
-    farthest = float(np.abs(moves).max())
-    if farthest > float(lengths.mean()):
-        moves *= float(lengths.mean()) / farthest
     fit = Fit(
-        control + moves * normals, closed, t, learnt,
-        _rescaled(noise, square, float(held.sum()), edf, leash.least_mm2),
+        moved, closed, t, learnt, _rescaled(noise, square, held, edf, leash.least_mm2),
         edf, distances, scatters, weights, inverse, rounds=turn + 1,
     )  # fmt: skip
     return fit, moves
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _solved(
+    control: FloatArray, t: FloatArray, counts: FloatArray, kinship: FloatArray,
+    means: FloatArray, covariances: FloatArray, relative: FloatArray, variance: float,
+    logs: FloatArray, start: FloatArray, leash: float, *, closed: bool, rounds: int,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray,
+           FloatArray, float, float]:  # fmt: skip
+    """What a round needs of all points and spans, in one compiled piece.
+
+    Returns
+    -------
+    moved control points (n, 2), moves (n, 1); distances, scatters, weights of the cells (m,); the
+    inverse's band (n, 4); freedom and bends of the spans (spans,); points held, their squares.
+    """
+    n, spans = len(control), len(logs)
+    normals = control_normals(control, closed)
+    _, changes, rows = curvature_changes(control, normals, spans, closed)
+    band, right = np.zeros((n, 4)), np.zeros((n, 1))
+    distances, scatters, weights = sweep(
+        control, normals, t, counts, counts / kinship, means, covariances, variance * relative,
+        band, right, closed, rounds,
+    )  # fmt: skip
+    lengths = span_lengths(control, spans)
+    stiffness = np.exp(logs) / np.maximum(lengths, 1e-3 * lengths.mean())
+    add_penalty(band, right, rows, changes, stiffness)
+    largest = 0.0
+    for j in range(n):
+        away = (control[j, 0] - start[j, 0]) * normals[j, 0]
+        away += (control[j, 1] - start[j, 1]) * normals[j, 1]
+        band[j, 0] += 1.0 / leash
+        right[j, 0] -= away / leash
+        largest = max(largest, band[j, 0])
+    for j in range(n):
+        band[j, 0] += _RIDGE * largest
+    main, border, corner = factorise(band)
+    moves, inverse = solve(main, border, corner, right), inverse_band(main, border, corner)
+    shares = stiffness * row_variances(rows, inverse)
+    forms = stiffness * (changes + row_values(rows, moves)) ** 2
+    held = square = 0.0
+    for m in range(len(t)):
+        own = counts[m] * weights[m]
+        held += own
+        square += own * (distances[m] * distances[m] + scatters[m]) / relative[m]
+    # A linearisation is good for a span; farther off the curve would fold.
+    farthest = np.abs(moves).max()
+    if farthest > lengths.mean():
+        moves *= lengths.mean() / farthest
+    moved = control + moves * normals
+    return moved, moves, distances, scatters, weights, inverse, shares, forms, held, square
 
 
 def _sound(fit: Fit, cells: ArcCells) -> bool:
@@ -306,12 +337,41 @@ def _fellner_schall(
     """
     rank = (len(shares) - 3) / len(shares) if closed else 1.0  # circles and shifts cost nothing
     free = np.maximum(hats.T @ (rank - shares), 0.0) + _FAINT
-    wanted = _within(np.log(free / (hats.T @ forms + _FAINT)), 3.0)
-    if len(log_stiffness) < 3:
-        return wanted
-    ties = _ties(len(log_stiffness), closed)
-    gradient = 0.5 * free * wanted - ties @ log_stiffness
-    return _within(np.linalg.solve(np.diag(0.5 * free) + ties, gradient), 3.0)
+    bent = hats.T @ forms + _FAINT
+    return _tied(free, bent, log_stiffness, _ties(len(log_stiffness), closed))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _tied(free: FloatArray, bent: FloatArray, logs: FloatArray, ties: FloatArray) -> FloatArray:
+    """The step of every station's log stiffness, by a Cholesky factor made in place."""
+    count = len(free)
+    step, matrix = np.empty(count), ties.copy()
+    for i in range(count):
+        step[i] = min(max(math.log(free[i] / bent[i]), -3.0), 3.0)
+    if count < 3:
+        return step
+    for i in range(count):
+        matrix[i, i] += 0.5 * free[i]
+        step[i] *= 0.5 * free[i]
+        for j in range(count):
+            step[i] -= ties[i, j] * logs[j]
+    for j in range(count):
+        for k in range(j):
+            for i in range(j, count):
+                matrix[i, j] -= matrix[i, k] * matrix[j, k]
+        root = 1.0 / math.sqrt(matrix[j, j])
+        for i in range(j, count):
+            matrix[i, j] *= root
+        step[j] *= root
+        for i in range(j + 1, count):
+            step[i] -= matrix[i, j] * step[j]
+    for j in range(count - 1, -1, -1):
+        for i in range(j + 1, count):
+            step[j] -= matrix[i, j] * step[i]
+        step[j] /= matrix[j, j]
+    for i in range(count):
+        step[i] = min(max(step[i], -3.0), 3.0)
+    return step
 
 
 @lru_cache(maxsize=64)

@@ -35,8 +35,7 @@ def sweep(
     variances: FloatArray,
     band: FloatArray,
     right: FloatArray,
-    *,
-    closed: bool,
+    closed: bool,  # noqa: FBT001 (a kernel)
     rounds: int,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Refine t in place, add the data to band and right.

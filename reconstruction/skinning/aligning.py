@@ -65,15 +65,37 @@ class Stations:
         return np.asarray(np.interp(inside, np.arange(count + 1.0), around) + turns)
 
 
-def align(outlines: Sequence[Outline], count: int, *, cyclic: bool = False) -> Stations:
+@dataclass(frozen=True, slots=True, eq=False)
+class Tables:
+    """Closed outlines as places evenly along them, which no alignment changes."""
+
+    places_mm: FloatArray  # (k, table, 3), counter-clockwise
+    cell_shares: tuple[FloatArray, ...]  # k of (cells,), of the outline's length
+
+    def without(self, row: int) -> Tables:
+        """All but one outline."""
+        kept = self.cell_shares[:row] + self.cell_shares[row + 1 :]
+        return Tables(np.delete(self.places_mm, row, axis=0), kept)
+
+
+def align(
+    outlines: Sequence[Outline],
+    count: int,
+    *,
+    cyclic: bool = False,
+    tables_of: Tables | None = None,
+) -> Stations:
     """Lay `count` stations on every closed outline.
 
     Parameters
     ----------
     cyclic
         The last outline is followed by the first.
+    tables_of
+        The outlines' tables, where they are known already.
     """
-    tables, cell_shares = _tables(outlines)
+    known = tables_of or tabled(outlines)
+    tables, cell_shares = known.places_mm, known.cell_shares
     axes = outlines[0].frame.axes[:2]
     doubts = np.array([float((each.fitted.deviations_mm**2).mean()) for each in outlines])
     starts = _seams(tables @ axes.T, doubts)
@@ -94,7 +116,8 @@ def align_between(
     spans, a_span
         About how many spans there are around, and how many stations each of them has.
     """
-    tables, cell_shares = _tables(outlines)
+    known = tabled(outlines)
+    tables, cell_shares = known.places_mm, known.cell_shares
     faces = np.diff(creases, axis=1, append=creases[:, :1] + 1.0)
     counts = np.maximum(np.rint(spans * faces.mean(axis=0)).astype(np.int64), _LEAST_SPANS)
     # The seam lies in the middle of the widest face: no edge is cut in two.
@@ -126,8 +149,8 @@ def _even(starts: FloatArray, faces: FloatArray, count: int) -> FloatArray:
     return starts[:, None] + faces[:, None] * (np.arange(count) / count)
 
 
-def _tables(outlines: Sequence[Outline]) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-    """Places evenly along each outline, counter-clockwise, (k, table, 3); the cells' shares."""
+def tabled(outlines: Sequence[Outline]) -> Tables:
+    """Places evenly along each outline, and where on it its cells belong."""
     tables, cells = np.empty((len(outlines), _TABLE, 3)), []
     at = np.arange(_TABLE) / _TABLE
     for k, outline in enumerate(outlines):
@@ -137,11 +160,13 @@ def _tables(outlines: Sequence[Outline]) -> tuple[FloatArray, tuple[FloatArray, 
         along = 1.0 - walk.along[way] if walk.clockwise else walk.along
         even = np.stack([np.interp(at, along, x) for x in walk.planar_mm[way].T], axis=1)
         tables[k] = outline.frame.to_part(even)
-    return tables, tuple(cells)
+    return Tables(tables, tuple(cells))
 
 
 def shares_along(outline: Outline, u: FloatArray) -> FloatArray:
     """Shares of an outline's length, counter-clockwise, at parameters of its curve."""
+    if not len(u):  # most outlines have no corners
+        return np.empty(0)
     return _walk(outline).shares_of(u)
 
 
@@ -251,53 +276,75 @@ def _slide(
     ones beside by `_EVEN`.
     """
     rows, count = shares.shape
-    size = tables.shape[1]
-    lengths = np.empty(rows)
+    lengths = _lengths(tables)
+    places, tangents = np.empty((rows, 3, count)), np.empty((rows, 3, count))
     for k in range(rows):
-        total = 0.0
-        for p in range(size):
-            square = 0.0
-            for d in range(3):
-                step = tables[k, (p + 1) % size, d] - tables[k, p, d]
-                square += step * step
-            total += np.sqrt(square)
-        lengths[k] = max(total, 1e-300)
-    places = np.empty((rows, count, 3))
-    for k in range(rows):
-        _look_up(tables[k], shares[k], places[k])
-    least = _DENSER / count
+        _look_around(tables[k], shares[k], lengths[k], places[k], tangents[k])
+    least, most = _DENSER / count, 0.3 / count
+    fresh, pulls = np.empty((rows, count)), np.empty(count)
     for _ in range(sweeps):
-        fresh = shares.copy()
         for k in range(rows):
             above = k + 1 if k + 1 < rows else (0 if cyclic else -1)
             below = k - 1 if k > 0 else (rows - 1 if cyclic else -1)
             neighbours = (above >= 0) + (below >= 0)
+            pulls[:] = 0.0
+            for other in (above, below):
+                if other >= 0:
+                    for d in range(3):
+                        for m in range(count):
+                            away = places[other, d, m] - places[k, d, m]
+                            pulls[m] += tangents[k, d, m] * away
+            own = shares[k]
             for m in range(count):
-                low = int(np.floor(shares[k, m] * size))
-                pull = tangent = 0.0
-                for d in range(3):
-                    step = tables[k, (low + 1) % size, d] - tables[k, low % size, d]
-                    mean = 0.0
-                    if above >= 0:
-                        mean += places[above, m, d] - places[k, m, d]
-                    if below >= 0:
-                        mean += places[below, m, d] - places[k, m, d]
-                    pull += step * mean
-                    tangent += step * step
-                # As a share of the length: along the tangent, over the length.
-                pull /= max(np.sqrt(tangent), 1e-300) * lengths[k] * max(neighbours, 1)
-                before = shares[k, m - 1] if m > 0 else shares[k, count - 1] - 1.0
-                after = shares[k, m + 1] if m + 1 < count else shares[k, 0] + 1.0
-                even = 0.5 * (before + after) - shares[k, m]
+                before = own[m - 1] if m > 0 else own[count - 1] - 1.0
+                after = own[m + 1] if m + 1 < count else own[0] + 1.0
+                even = 0.5 * (before + after) - own[m]
+                pull = pulls[m] / max(neighbours, 1)
                 move = _HASTE * (pull + _EVEN * even) / (1.0 + _EVEN)
-                fresh[k, m] += min(max(move, -0.3 / count), 0.3 / count)
+                fresh[k, m] = own[m] + min(max(move, -most), most)
         for k in range(rows):
             _spread(fresh[k], least)
             for column in pinned:
                 fresh[k, column] = shares[k, column]
             shares[k] = fresh[k]
-            _look_up(tables[k], shares[k], places[k])
+            _look_around(tables[k], shares[k], lengths[k], places[k], tangents[k])
     return shares
+
+
+@njit(cache=True, nogil=True)
+def _lengths(tables: FloatArray) -> FloatArray:
+    """Length of each closed table, (k,), never quite nothing."""
+    lengths = np.empty(len(tables))
+    for k in range(len(tables)):
+        total = 0.0
+        for p in range(tables.shape[1]):
+            after = tables[k, p + 1 if p + 1 < tables.shape[1] else 0]
+            square = 0.0
+            for d in range(3):
+                square += (after[d] - tables[k, p, d]) ** 2
+            total += np.sqrt(square)
+        lengths[k] = max(total, 1e-300)
+    return lengths
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _look_around(
+    table: FloatArray, shares: FloatArray, length: float, places: FloatArray, tangents: FloatArray
+) -> None:
+    """Places at shares of a closed table, and unit tangents there over its length; (3, m) each."""
+    size = len(table)
+    for m in range(len(shares)):
+        at = shares[m] * size
+        low = int(np.floor(at))
+        part = at - low
+        if low < 0 or low >= size:  # seldom, and a remainder takes long
+            low %= size
+        high = low + 1 if low + 1 < size else 0
+        x, y, z = table[low, 0], table[low, 1], table[low, 2]
+        dx, dy, dz = table[high, 0] - x, table[high, 1] - y, table[high, 2] - z
+        places[0, m], places[1, m], places[2, m] = x + part * dx, y + part * dy, z + part * dz
+        scale = 1.0 / (max(np.sqrt(dx * dx + dy * dy + dz * dz), 1e-300) * length)
+        tangents[0, m], tangents[1, m], tangents[2, m] = scale * dx, scale * dy, scale * dz
 
 
 @njit(cache=True, nogil=True)

@@ -35,8 +35,24 @@ def add_data(
     _add_data(
         matrix.panels, right.reshape(-1), unknowns.directions, unknowns.numbers,
         net.apex, at_u.first, at_u.values[:, 0], at_v.first, at_v.values[:, 0], normals,
-        distances_mm, weights,
+        distances_mm, weights, _by_span(at_u.first, at_v.first, unknowns.directions.shape[:2]),
     )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def _by_span(first_u: IntArray, first_v: IntArray, counts: tuple[int, int]) -> IntArray:
+    """The order of cells (m,) that brings those of a span together; else they keep theirs."""
+    starts = np.zeros(counts[0] * counts[1] + 1, np.int64)
+    for m in range(len(first_u)):
+        starts[first_u[m] * counts[1] + first_v[m] + 1] += 1
+    for span in range(1, len(starts)):
+        starts[span] += starts[span - 1]
+    order = np.empty(len(first_u), np.int64)
+    for m in range(len(first_u)):
+        span = first_u[m] * counts[1] + first_v[m]
+        order[starts[span]] = m
+        starts[span] += 1
+    return order
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -79,25 +95,43 @@ def _add_data(
     panels: FloatArray, right: FloatArray, directions: FloatArray,
     number: IntArray, apex: BoolArray, first_u: IntArray, values_u: FloatArray, first_v: IntArray,
     values_v: FloatArray, normals: FloatArray, distances: FloatArray, weights: FloatArray,
+    order: IntArray,
 ) -> None:  # fmt: skip
+    """Add cells in an order that brings those of a span together: they meet the same unknowns.
+
+    Their products are summed in a square that the cache holds, and entered once a span.
+    """
     size = panels.shape[1]
-    numbers, slopes, blocks = np.empty(16, np.int64), np.empty(16), np.empty(16, np.int64)
-    for m in range(len(distances)):
-        if not weights[m] > 0.0:
+    numbers, slopes = np.empty(16, np.int64), np.empty(16)
+    square, side = np.zeros((16, 16)), np.zeros(16)
+    held = 0
+    for position in range(len(order)):
+        m = order[position]
+        if weights[m] > 0.0:
+            held = row_at(
+                directions, number, apex, first_u[m], values_u[m], first_v[m], values_v[m],
+                normals[m], numbers, slopes,
+            )  # fmt: skip
+            for p in range(held):
+                scaled = weights[m] * slopes[p]
+                side[p] += scaled * distances[m]
+                for q in range(held):
+                    square[p, q] += scaled * slopes[q]
+        following = order[position + 1] if position + 1 < len(order) else -1
+        if following >= 0 and (
+            first_u[following] == first_u[m] and first_v[following] == first_v[m]
+        ):
             continue
-        held = row_at(
-            directions, number, apex, first_u[m], values_u[m], first_v[m], values_v[m],
-            normals[m], numbers, slopes,
-        )  # fmt: skip
         for p in range(held):
-            blocks[p] = numbers[p] // size
-        for p in range(held):
-            scaled = weights[m] * slopes[p]
-            right[numbers[p]] += scaled * distances[m]
-            start = blocks[p] * size
+            right[numbers[p]] += side[p]
+            block = numbers[p] // size
+            start = block * size
             for q in range(held):  # each pair once: into the panel of the lower number
                 if numbers[q] >= numbers[p]:
-                    panels[blocks[p], numbers[p] - start, numbers[q] - start] += scaled * slopes[q]
+                    panels[block, numbers[p] - start, numbers[q] - start] += square[p, q]
+        square[:] = 0.0
+        side[:] = 0.0
+        held = 0
 
 
 def add_stiffness(system: tuple[Blocks, FloatArray], rows: Rows, stiffness: FloatArray) -> None:

@@ -14,7 +14,7 @@ from reconstruction.arrays import FloatArray
 from reconstruction.errors import TooFewPoints
 from reconstruction.fitting.curve import Exact, FittedCurve
 from reconstruction.fitting.section import SectionFit, resolve_section
-from reconstruction.reduction import reduce_points
+from reconstruction.reduction import bounding_box, reduce_points
 from reconstruction.skinning.outlines import Outline, outline_of
 from reconstruction.slices import Frame, Slice
 
@@ -109,10 +109,11 @@ def _grains(points_mm: FloatArray, curves: Sequence[FittedCurve]) -> Grains:
     """Points (n, 3), those in one box about as wide as their scatter as one."""
     if len(points_mm) <= _MOST_GRAINS:
         return Grains(points_mm, np.ones(len(points_mm)))
-    size_mm = float(np.ptp(points_mm, axis=0).max())
+    around = bounding_box(points_mm)
+    size_mm = float(around.sides_mm.max())
     sigmas = [each.sigma_mm for each in curves]
     box_mm = max(_WIDE * float(np.median(sigmas)) if sigmas else 0.0, size_mm / _ACROSS, _LEAST_MM)
-    cells = reduce_points(points_mm, size_mm=(box_mm, box_mm, box_mm))
+    cells = reduce_points(points_mm, size_mm=(box_mm, box_mm, box_mm), within=around)
     return Grains(cells.centres_mm, cells.counts.astype(np.float64))
 
 

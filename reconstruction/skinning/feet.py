@@ -21,6 +21,7 @@ from reconstruction.skinning.outlines import Moments
 
 _BEFORE = 1e-6  # a crease
 _BESIDE = 0.25  # spans beside a wall
+_AT_ONCE = 16_384  # cells: derivatives of all would take more memory than the cells themselves
 _A_SPAN = 3  # places of the net a span, to look for the nearest
 
 
@@ -55,19 +56,35 @@ def find_feet(
     noise_mm2
         (3, 3), covariance of a point's error.
     """
+    parts = [
+        _feet(net, moments, u, v, slice(start, start + _AT_ONCE), noise_mm2, rounds=rounds)
+        for start in range(0, max(len(u), 1), _AT_ONCE)
+    ]
+    return Feet(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _feet(
+    net: Net,
+    moments: Moments,
+    every_u: FloatArray,
+    every_v: FloatArray,
+    part: slice,
+    noise_mm2: FloatArray,
+    *,
+    rounds: int,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """What `Feet` holds, of some of the cells."""
+    u, v, means = every_u[part], every_v[part], moments.means_mm[part]
     end_u, end_v = net.spans
     low, high = _faces(net, u)
     for _ in range(rounds):
         derivatives = derivatives_at(net, u, v)
         u, v = _stepped(
-            derivatives, moments.means_mm, u, v, low, high, end_u, end_v,
+            derivatives, means, u, v, low, high, end_u, end_v,
             closed_u=net.closed_u, closed_v=net.closed_v,
         )  # fmt: skip
     derivatives = derivatives_at(net, u, v)
-    normals, distances, scatters = _measured(
-        derivatives, moments.means_mm, moments.covariances_mm2, noise_mm2
-    )
-    return Feet(u, v, normals, distances, scatters)
+    return u, v, *_measured(derivatives, means, moments.covariances_mm2[part], noise_mm2)
 
 
 def _faces(net: Net, u: FloatArray) -> tuple[FloatArray, FloatArray]:

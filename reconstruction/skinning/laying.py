@@ -193,17 +193,33 @@ def _smoother(
     design, bends = _design(t, knots, closed=closed)
     normal = design.T @ (weights[:, None] * design)
     scale = float(np.trace(normal)) / len(normal)
-    spectrum = places.reshape(len(places), -1)
-    spectrum = spectrum - spectrum.mean(axis=0)
     best, least = np.empty(0), np.inf
+    basis, root = np.linalg.qr(np.sqrt(weights)[:, None] * design)
+    beyond, within = _compressed(basis, weights, places)
+    unit = np.eye(len(root))
     for log in _STIFFNESSES:
-        solver = np.linalg.solve(normal + scale * 10.0**log * bends, design.T * weights)
-        hat = design @ solver
-        misfit = float((weights[:, None] * (spectrum - hat @ spectrum) ** 2).sum())
+        solver = np.linalg.solve(normal + scale * 10.0**log * bends, root.T)
+        hat = root @ solver
+        misfit = beyond + float((((unit - hat) @ within) ** 2).sum())
         score = misfit / (len(t) - float(np.trace(hat)) + 1e-9) ** 2
         if score < least:
             best, least = solver, score
-    return np.asarray(best)
+    return np.asarray(best @ basis.T * np.sqrt(weights))
+
+
+def _compressed(
+    basis: FloatArray, weights: FloatArray, places: FloatArray
+) -> tuple[float, FloatArray]:
+    """What of the places (m, c, 3) no spline can follow, squared; of the rest a root, (n, n).
+
+    Misfits are then told from n x n numbers, however many columns there are: hats (m, m) on every
+    column of a long scan took a second.
+    """
+    spectrum = places.reshape(len(places), -1)
+    spectrum = np.sqrt(weights)[:, None] * (spectrum - spectrum.mean(axis=0))
+    within = basis.T @ spectrum
+    beyond = float(((spectrum - basis @ within) ** 2).sum())
+    return beyond, np.asarray(np.linalg.qr(within.T, mode="r")).T
 
 
 def _interpolator(t: FloatArray, knots: FloatArray, *, closed: bool) -> FloatArray:

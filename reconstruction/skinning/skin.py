@@ -10,7 +10,7 @@ import numpy as np
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
 from reconstruction.errors import Unfittable
 from reconstruction.nurbs import Surface, evaluate_surface_at, points_and_tangents_at
-from reconstruction.skinning.aligning import Stations, align, align_between
+from reconstruction.skinning.aligning import Stations, align, align_between, tabled
 from reconstruction.skinning.branch import Branch
 from reconstruction.skinning.creases import find_creases
 from reconstruction.skinning.ends import Apex, Brim, brim_or_apex
@@ -267,9 +267,10 @@ def _dear(skin: Skin) -> float:
 def _aligned(branch: Branch) -> tuple[Branch, Stations, list[Moments]]:
     """Align outlines; those that stand out from both neighbours are left out, their cells kept."""
     wild: list[Moments] = []
+    tables = tabled(branch.outlines)
     while True:
         count = max(_STATIONS_A_SPAN * _spans_around(branch), _LEAST_STATIONS)
-        stations = align(branch.outlines, count, cyclic=branch.cyclic)
+        stations = align(branch.outlines, count, cyclic=branch.cyclic, tables_of=tables)
         if len(branch.outlines) <= _FEWEST:
             return branch, stations, wild
         worst = standing_out(stations.places_mm, cyclic=branch.cyclic)
@@ -277,7 +278,7 @@ def _aligned(branch: Branch) -> tuple[Branch, Stations, list[Moments]]:
             return branch, stations, wild
         wild.append(branch.outlines[worst].moments)
         kept = branch.outlines[:worst] + branch.outlines[worst + 1 :]
-        branch = replace(branch, outlines=kept)
+        branch, tables = replace(branch, outlines=kept), tables.without(worst)
 
 
 def standing_out(places: FloatArray, *, cyclic: bool) -> int | None:

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import NotLoftable
@@ -108,8 +109,17 @@ def skin_slices(
         Open sections whose points do not hold a surface.
     """
     found = layout_of(slices, layout)
-    if found is Layout.RINGS:
-        return _skin_rings(slices, tolerance_mm=tolerance_mm, exact=exact, nurbs=nurbs)
+    # Matrices are small or come one after the other: threads of BLAS would only wait.
+    with threadpool_limits(1, "blas"):
+        if found is Layout.RINGS:
+            return _skin_rings(slices, tolerance_mm=tolerance_mm, exact=exact, nurbs=nurbs)
+        return _skin_open(slices, found, tolerance_mm=tolerance_mm, exact=exact)
+
+
+def _skin_open(
+    slices: Sequence[SliceOutlines], found: Layout, *, tolerance_mm: float | None, exact: Exact
+) -> Skinned:
+    """One surface through stripes or meridians."""
     sheet = _sheet(slices, found)
     skin = _exact_in_place_of(sheet.skin) if exact is Exact.AUTO else sheet.skin
     chord = tolerance_mm or affordable_mm(skin, _chord(skin, (skin,)))

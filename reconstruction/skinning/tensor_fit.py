@@ -16,7 +16,9 @@ Gaps are filled by the penalty alone, from all sides at once, and the covariance
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -56,19 +58,33 @@ FREE = (Rim(), Rim())
 
 
 class Posterior:
-    """Covariance of the moves, inverted when it is first asked for."""
+    """Covariance of the moves, inverted when it is first asked for.
 
-    def __init__(self, factor: Factor | None, inverse: Blocks | None) -> None:
-        self._factor, self._inverse = factor, inverse
+    Parameters
+    ----------
+    again
+        Does once more the round whose factor and inverse are not there any more: while a wide net
+        is fitted, those of every round together would take more memory than a long scan.
+    """
+
+    def __init__(
+        self,
+        factor: Factor | None,
+        inverse: Blocks | None,
+        again: Callable[[], Factor] | None = None,
+    ) -> None:
+        self._factor, self._inverse, self._again = factor, inverse, again
 
     @property
     def inverse(self) -> Blocks:
         """Inside the band of the system."""
         if self._inverse is None:
-            assert self._factor is not None, "one of the two is there"
             with threadpool_limits(1, "blas"):
+                if self._factor is None:
+                    assert self._again is not None, "one of the three is there"
+                    self._factor = self._again()
                 self._inverse = inverse_blocks(self._factor)
-            self._factor = None
+            self._factor = self._again = None
         return self._inverse
 
 
@@ -133,8 +149,9 @@ def fit_net(
             " points; are the slices those of one part?"
         )
     used = merged.moments
-    while any(along := _too_wide(done[0], _may(halvings))):
-        _, state, rounds = done
+    while any(along := _too_wide(done.found, _may(halvings))):
+        done = done.lighter()
+        state, rounds = done.after, done.rounds
         cells = moved_along(cells, merged, state.u, state.v, state.net)
         lattice, state = lattice.refined(along), _refined(state, along)
         halvings = (halvings[0] - along[0], halvings[1] - along[1])
@@ -145,10 +162,10 @@ def fit_net(
         if narrow is None:
             break
         done, used = narrow, merged.moments
-    found, state, rounds = done
+    found, state, rounds, again = done.found, done.after, done.rounds, done.again
     return TensorFit(
         found.net, found.unknowns, used, found.feet, found.weights, found.noise, state.stiffness,
-        found.edf, Posterior(found.factor, found.inverse), found.misfit, rounds,
+        found.edf, Posterior(found.factor, found.inverse, again), found.misfit, rounds,
     )  # fmt: skip
 
 
@@ -172,6 +189,20 @@ def log_stiffness(net: Net, cells: Cells, noise: Noise) -> list[float]:
     ]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Done:
+    """A round that was done, and what is needed to do it again."""
+
+    found: Round
+    after: State
+    rounds: int  # so many until now
+    again: Callable[[], Factor]
+
+    def lighter(self) -> _Done:
+        """Without what takes by far the most memory."""
+        return replace(self, found=replace(self.found, factor=None, inverse=None))
+
+
 def _at_rest(
     state: State,
     moments: Moments,
@@ -180,42 +211,68 @@ def _at_rest(
     finer: tuple[bool, bool],
     *,
     begun: int,
-) -> tuple[Round, State, int] | None:
+) -> _Done | None:
     """Rounds until nothing is learnt and the surface stands still; None if there is not one.
 
     Wide spans that may be halved are given up, too, where the fit goes astray.
     """
-    first: tuple[Round, State, int] | None = None
-    last: tuple[Round, State, int] | None = None
-    calmest: tuple[Round, State, int] | None = None
+    first: _Done | None = None
+    last: _Done | None = None
+    calmest: _Done | None = None
     learning, calming = True, 0
     for turn in range(begun, begun + _ROUNDS):
         manner = Manner(learning, _WIDE_MODEL if any(finer) else _MODEL, 3 if turn == begun else 1)
-        with threadpool_limits(1, "blas"):  # blocks are small: threads would only wait
-            done = do_round(state, moments, lattice, rims, manner)
+        first, last, calmest = (each and each.lighter() for each in (first, last, calmest))
+        done = _once(state, moments, lattice, rims, manner, turn)
         if done is None:
             break
-        found, state = done
-        last = found, state, turn + 1
+        last, state = done, done.after
         first = first or last
-        if found.noise.level_mm2 > _ASTRAY * first[0].noise.level_mm2:
+        del done  # the next round has no room for what this one found
+        if last.found.noise.level_mm2 > _ASTRAY * first.found.noise.level_mm2:
             return None if any(finer) else first
         if turn in _RELAID:
-            again, v = relaid(state.net, state.v)
-            state = replace(state, net=again, start_mm=again.control_mm, v=v)
-        if calmest is None or found.gained <= calmest[0].gained:
+            even, v = relaid(state.net, state.v)
+            state = replace(state, net=even, start_mm=even.control_mm, v=v)
+        if calmest is None or last.found.gained <= calmest.found.gained:
             calmest = last
-        elif _stirred(found, calmest[0]):
+        elif _stirred(last.found, calmest.found):
             return calmest
-        if turn >= begun + _LEAST_ROUNDS and _nothing_more(found, finer):
+        if turn >= begun + _LEAST_ROUNDS and _nothing_more(last.found, finer):
             break
         if turn <= _RELAID[-1]:
             continue
-        learning = learning and found.gained > _LEARNT[0] + _LEARNT[1] * found.edf
+        learning = learning and last.found.gained > _LEARNT[0] + _LEARNT[1] * last.found.edf
         calming += not learning
-        if not learning and (found.moved < _STILL or calming > _CALMING):
+        if not learning and (last.found.moved < _STILL or calming > _CALMING):
             break
     return last
+
+
+def _once(
+    state: State,
+    moments: Moments,
+    lattice: Lattice,
+    rims: tuple[Rim, Rim],
+    manner: Manner,
+    turn: int,
+) -> _Done | None:
+    with threadpool_limits(1, "blas"):  # blocks are small: threads would only wait
+        done = do_round(state, moments, lattice, rims, manner)
+    if done is None:
+        return None
+    again = partial(_factor_again, state, moments, lattice, rims, manner)
+    return _Done(*done, turn + 1, again)
+
+
+def _factor_again(
+    state: State, moments: Moments, lattice: Lattice, rims: tuple[Rim, Rim], manner: Manner
+) -> Factor:
+    """The factor of a round that was done from this state."""
+    done = do_round(state, moments, lattice, rims, replace(manner, learning=False))
+    assert done is not None, "it was done before"
+    assert done[0].factor is not None, "it does not learn"
+    return done[0].factor
 
 
 def _stirred(found: Round, calmest: Round) -> bool:

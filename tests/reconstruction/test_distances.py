@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from matplotlib.path import Path
 
 from reconstruction.arrays import FloatArray
-from reconstruction.distances import polygon_distances
+from reconstruction.distances import distances_to_nearest, polygon_distances
 from tests.reconstruction.part_cases import star
 
 
@@ -125,3 +125,20 @@ def test_the_left_of_an_open_line_is_negative() -> None:
     points = np.array([[-3.0, 1.0], [5.0, 1.0], [5.0, -1.0], [25.0, 9.0], [25.0, 4.0]])
     signs = np.sign(polygon_distances(points, line, closed=False))
     assert signs.tolist() == [-1.0, -1.0, 1.0, -1.0, 1.0]
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 5))
+@settings(max_examples=60, deadline=None)
+def test_of_several_polygons_the_nearest_counts_with_its_own_sign(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    polygons = [
+        (star(rng, int(corners)) * rng.uniform(0.01, 1.0) + rng.normal(0.0, 20.0, 2), bool(closed))
+        for corners, closed in rng.integers([3, 0], [60, 2], (count, 2))
+    ]
+    points = np.concatenate([probes(rng, polygon) for polygon, _ in polygons])
+    found = distances_to_nearest(points, polygons)
+    apart = np.array([polygon_distances(points, one, closed=closed) for one, closed in polygons])
+    naive = np.array([naive_distances(points, one, closed=closed) for one, closed in polygons])
+    np.testing.assert_allclose(np.abs(found), naive.min(axis=0), rtol=1e-9, atol=1e-9)
+    nearest = np.abs(apart).argmin(axis=0)
+    np.testing.assert_array_equal(found, apart[nearest, np.arange(len(points))])

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from reconstruction.sections import measure_residual
@@ -17,6 +17,7 @@ distances = st.lists(st.floats(-50.0, 50.0), max_size=60).map(
 
 
 @given(distances)
+@settings(deadline=None)  # the first of them compiles the kernel
 def test_a_residual_says_what_numpy_says(some: np.ndarray) -> None:
     found = measure_residual(some, range_mm=5.0)
     assert found.count == found.bins.sum() == len(some)
@@ -27,6 +28,7 @@ def test_a_residual_says_what_numpy_says(some: np.ndarray) -> None:
 
 
 @given(distances, distances)
+@settings(deadline=None)
 def test_two_residuals_add_up_to_that_of_all_points(one: np.ndarray, other: np.ndarray) -> None:
     both = measure_residual(one, range_mm=5.0).plus(measure_residual(other, range_mm=5.0))
     whole = measure_residual(np.concatenate([one, other]), range_mm=5.0)
@@ -54,3 +56,11 @@ def test_no_points_have_no_mean() -> None:
 def test_different_bins_do_not_add_up() -> None:
     with pytest.raises(ValueError, match="do not add up"):
         measure_residual(np.ones(3), range_mm=5.0).plus(measure_residual(np.ones(3), range_mm=4.0))
+
+
+def test_bins_are_those_of_numpy_at_their_very_edges_too() -> None:
+    edges = np.linspace(-5.0, 5.0, 2002)
+    beside = np.concatenate([edges, np.nextafter(edges, 9.0), np.nextafter(edges, -9.0)])
+    found = measure_residual(beside, range_mm=5.0)
+    expected, _ = np.histogram(np.clip(beside, -5.0, 5.0), bins=edges)
+    np.testing.assert_array_equal(found.bins, expected)

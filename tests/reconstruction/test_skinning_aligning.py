@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from reconstruction.skinning.aligning import align
+from reconstruction.arrays import FloatArray, IntArray
+from reconstruction.skinning.aligning import _DENSER, _EVEN, _HASTE, _slide, align
 from reconstruction.skinning.branch import End, Ending
 from reconstruction.skinning.ends import Apex, Brim, brim_or_apex
 from tests.reconstruction.skinning_cases import outline, ring
@@ -121,3 +122,52 @@ def test_one_outline_alone_has_level_ends() -> None:
     found = brim_or_apex(alone, End(Ending.CLOSED, 3.0), last=True)
     assert isinstance(found, Brim)
     assert found.height_mm == 2.5
+
+
+def naive_slide(
+    tables: FloatArray, shares: FloatArray, pinned: IntArray, sweeps: int, *, cyclic: bool
+) -> FloatArray:
+    """All stations at once, a sweep after the other; (k, size, 3), (k, m) -> (k, m)."""
+    (rows, count), size = shares.shape, tables.shape[1]
+    steps = np.roll(tables, -1, axis=1) - tables
+    lengths = np.linalg.norm(steps, axis=2).sum(axis=1)
+    row = np.arange(rows)[:, None]
+    for _ in range(sweeps):
+        low = np.floor(shares * size).astype(np.int64)
+        part = (shares * size - low)[..., None]
+        places = tables[row, low % size] + part * steps[row, low % size]
+        ways = [np.roll(places, step, axis=0) - places for step in (-1, 1)]
+        held = np.full((rows, 1), 2.0)
+        if not cyclic:
+            ways[0][-1] = ways[1][0] = 0.0
+            held[[0, -1]] -= 1.0
+        tangents = steps[row, low % size]
+        tangents = tangents / np.linalg.norm(tangents, axis=2, keepdims=True)
+        pull = (tangents * (ways[0] + ways[1])).sum(axis=2) / (held * lengths[:, None])
+        before, after = np.roll(shares, 1, axis=1), np.roll(shares, -1, axis=1)
+        before[:, 0] -= 1.0
+        after[:, -1] += 1.0
+        move = _HASTE * (pull + _EVEN * (0.5 * (before + after) - shares)) / (1.0 + _EVEN)
+        fresh = shares + np.clip(move, -0.3 / count, 0.3 / count)
+        for k in range(rows):
+            for m in range(1, count):
+                fresh[k, m] = max(fresh[k, m], fresh[k, m - 1] + _DENSER / count)
+            if fresh[k, -1] > fresh[k, 0] + 1.0 - _DENSER / count:
+                most = fresh[k, 0] + 1.0 - _DENSER / count * (count - np.arange(1, count))
+                fresh[k, 1:] = np.minimum(fresh[k, 1:], most)
+        fresh[:, pinned] = shares[:, pinned]
+        shares = fresh
+    return shares
+
+
+@pytest.mark.parametrize("cyclic", [False, True])
+@pytest.mark.parametrize("pinned", [[], [0, 9, 20]])
+def test_stations_slide_as_they_do_one_by_one(*, cyclic: bool, pinned: list[int]) -> None:
+    rng = np.random.default_rng(3)
+    tables = np.stack([np.column_stack([lobed(0.1 * k), np.full(240, float(k))]) for k in range(6)])
+    tables += rng.normal(0.0, 0.02, tables.shape)
+    shares = rng.uniform(-0.2, 1.2, (6, 1)) + np.arange(48) / 48 + rng.uniform(0, 0.01, (6, 48))
+    columns = np.array(pinned, dtype=np.int64)
+    expected = naive_slide(tables, shares, columns, 24, cyclic=cyclic)
+    found = _slide(tables, shares.copy(), columns, 24, cyclic=cyclic)
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-12)

@@ -15,8 +15,11 @@ from reconstruction.skinning.closing import closed_mesh
 from reconstruction.skinning.drawing import SliceOutlines
 from reconstruction.skinning.ends import Apex
 from reconstruction.skinning.net import derivatives_at
-from reconstruction.skinning.skin import Skin, skin_branch
+from reconstruction.skinning.rounds import Manner, State
+from reconstruction.skinning.skin import Skin, rims_of, skin_branch
+from reconstruction.skinning.stiffness import Lattice
 from reconstruction.skinning.surfacing import skin_slices
+from reconstruction.skinning.tensor_fit import Posterior, _once
 from reconstruction.slices import Frame, Slice
 from tests.reconstruction.skinning_parts import Box, drawn, only_branch, ring_slices
 
@@ -76,6 +79,21 @@ def test_a_tube_spends_few_degrees_of_freedom_and_knows_its_noise() -> None:
     fit = tube().fit
     assert fit.edf < 40.0
     assert math.sqrt(fit.noise.level_mm2) == pytest.approx(0.2, rel=0.01)
+
+
+def test_a_round_done_again_has_the_covariance_that_was_thrown_away() -> None:
+    skin = tube()
+    fit, lattice = skin.fit, Lattice.over(skin.fit.net)
+    logs = np.full(lattice.count, 3.0)
+    state = State(fit.net, fit.net.control_mm, fit.feet.u, fit.feet.v, fit.noise, (logs, logs))
+    manner = Manner(learning=True, model=0.3, steps=1)
+    done = _once(state, fit.moments, lattice, rims_of(skin.brims), manner, 0)
+    assert done is not None
+    assert done.found.inverse is not None
+    light = done.lighter()
+    assert light.found.inverse is None
+    again = Posterior(light.found.factor, light.found.inverse, light.again).inverse
+    np.testing.assert_array_equal(again.panels, done.found.inverse.panels)
 
 
 def test_gaps_are_marked() -> None:
