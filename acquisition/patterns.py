@@ -49,7 +49,7 @@ class Meridian:
     """One profile a table angle, in each of one or more stage positions; the sheet is upright."""
 
     per_turn: Annotated[
-        int, Key("meridians in a whole turn, evenly spaced", at_least=3, at_most=1e6)
+        int, Key("meridians in a whole turn, evenly spaced", at_least=3, at_most=600)
     ]
     first_deg: Annotated[float, Key("table angle of the first one")] = 0.0
     last_deg: Annotated[

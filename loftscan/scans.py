@@ -23,6 +23,7 @@ from acquisition.planes import slice_plane
 from acquisition.poses import Sweep
 from acquisition.scan_record import calibration_hash
 from drivers.profiler import Reason
+from loftscan.coverage import count_reasons
 from reconstruction.arrays import FloatArray, IntArray, frozen
 from reconstruction.reduction import bounding_box
 from reconstruction.skinning.layout import Layout
@@ -144,10 +145,7 @@ def corners_of(points_mm: FloatArray) -> FloatArray | None:
 
 def arrival_of(sweep: Sweep, kinematics: Kinematics, kind: SliceKind = SliceKind.RING) -> Arrival:
     """A sweep's slice with what its profiles say of the places without a point."""
-    reasons = np.zeros(len(Reason), np.int64)
-    for profile in sweep.profiles:
-        reasons += np.bincount(profile.reasons, minlength=len(Reason))
-    return Arrival(slice_of(sweep, kinematics, kind), reasons, len(sweep.profiles))
+    return Arrival(slice_of(sweep, kinematics, kind), count_reasons(sweep), len(sweep.profiles))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from acquisition.errors import DamagedSlice
 from loftscan import metrics, provenance
+from loftscan.coverage import share_measured
 from loftscan.findings import judge, judge_arrivals
 from loftscan.gathering import Gathered, Intake, coverage
 from loftscan.inputs import Unit
@@ -29,7 +30,7 @@ from reconstruction.course import Remedy
 from reconstruction.errors import NotLoftable, TooFewPoints
 from reconstruction.sections import Skipped
 from reconstruction.skinning.layout import Layout, is_turned
-from reconstruction.slices import Frame
+from reconstruction.slices import Frame, Slice
 from reconstruction.survey import Axis
 
 _REMEDY = Remedy(
@@ -143,6 +144,7 @@ class _Run:
         self._intake = Intake(settings.crop)
         self._damages: list[str] = []
         self._begun: AnyCourse | None = None
+        self._layout: Layout | None = None
         self._first: Frame | None = None  # plane of the first slice
         self._sections: list[AnySection] = []
         self._skipped: list[Skipped] = []
@@ -177,7 +179,7 @@ class _Run:
     def _draw(self, arrival: Arrival) -> Fitted | Missed:
         piece = self._intake.take(arrival)
         self._clock.to("sections")
-        seen, points = coverage(piece), len(piece.points_mm)
+        points, seen = len(piece.points_mm), self._coverage(piece, arrival)
         self._first = self._first or piece.frame
         if self._settings.method is Method.PAPER and is_turned(self._first, piece.frame):
             raise NotLoftable(_only_rings(self._source.name, Layout.MERIDIANS))
@@ -188,6 +190,11 @@ class _Run:
             return Missed(piece.index, points, str(few), self._standing(seen, arrival))
         self._sections.append(section)
         return Fitted(section, self._standing(seen, arrival), tuple(self._sections))
+
+    def _coverage(self, piece: Slice, arrival: Arrival) -> float:
+        if self._layout is None:
+            self._layout = self._source.layout()
+        return coverage(piece) if self._layout is Layout.AUTO else share_measured(arrival.reasons)
 
     def _course(self) -> AnyCourse:
         """Begun with the first slice: before that a scan's plan may not be there to say its layout.

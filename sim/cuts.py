@@ -83,9 +83,9 @@ def meridian_toml(mounting: Mounting, sensor: Sensor, part: Part, count: int) ->
         mounting.lifting.value * (at_mm - mounting.height_mm)
         for at_mm in (step_mm / 2.0, height_mm - step_mm / 2.0)
     ]
-    lines = ["[meridian]", f"per_turn = {count}", f"first_mm = {round(min(ends_mm), 6)}"]
+    lines = ["[meridian]", f"per_turn = {count}", f"first_mm = {round(min(ends_mm), 9)}"]
     if places > 1:
-        lines += [f"last_mm = {round(max(ends_mm), 6)}", f"step_mm = {round(step_mm, 6)}"]
+        lines += [f"last_mm = {round(max(ends_mm), 9)}", f"step_mm = {round(step_mm, 9)}"]
     return "\n".join(lines)
 
 
@@ -96,6 +96,6 @@ def stripe_toml(mounting: Mounting, part: Part, count: int) -> str:
     first_mm = mounting.side_mm + low_mm + step_mm / 2.0
     last_mm = first_mm + (count - 1) * step_mm
     return "\n".join(
-        ("[stripe]", f"first_mm = {first_mm:.6f}", f"last_mm = {last_mm:.6f}",
-         f"step_mm = {step_mm:.6f}")
+        ("[stripe]", f"first_mm = {first_mm:.9f}", f"last_mm = {last_mm:.9f}",
+         f"step_mm = {step_mm:.9f}")
     )  # fmt: skip
