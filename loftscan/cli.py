@@ -18,6 +18,7 @@ from loftscan.commands.compare import compare
 from loftscan.commands.demo import demo
 from loftscan.commands.devices import devices
 from loftscan.commands.reconstruct import reconstruct
+from loftscan.commands.register import register
 from loftscan.commands.scanning import scan
 from loftscan.commands.scans import app as scans
 from loftscan.commands.section import section
@@ -65,6 +66,7 @@ for each in (
     calibrate,
     scan,
     reconstruct,
+    register,
     section,
     compare,
 ):
