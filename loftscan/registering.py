@@ -3,7 +3,7 @@
 >>> merged = register("upright.scan", "turned.scan")
 >>> merged.transform, merged.registration.sd
 >>> merged.save("merged")                       # merged.ply, registration.json, report.html
->>> reconstruct("merged/merged.ply").save("part")
+>>> reconstruct("merged/merged.ply", spacing_mm=merged.spacing_mm).save("part")
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ class Named:
     name: str
     view: View
     sha256: str | None  # of a cloud's file; a scan's slices have their own
+    spacing_mm: float | None = None  # of a scan's rings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,6 +55,12 @@ class Merged:
     def transform(self) -> FloatArray:
         """(4, 4), from the second view's frame to the first's."""
         return self.registration.transform
+
+    @property
+    def spacing_mm(self) -> float:
+        """Of the slices to reconstruct it in: rows of both views lie too close for one's own."""
+        rings = [each.spacing_mm for each in (self.first, self.second) if each.spacing_mm]
+        return max(rings) if rings else round(self.registration.radius_mm, 3)
 
     @property
     def points_mm(self) -> FloatArray:
@@ -91,6 +98,7 @@ class Merged:
             "patch_radius_mm": found.radius_mm,
             "overlap_of_first": found.overlap[0],
             "overlap_of_second": found.overlap[1],
+            "spacing_mm": self.spacing_mm,
         }  # fmt: skip
 
     def save(self, folder: Path | str, *, overwrite: bool = False) -> Path:
@@ -176,7 +184,8 @@ def parse_near(text: str) -> tuple[float, float, float]:
 def _scanned(path: Path) -> Named:
     """Every slice that can be read; the others are missing in it as in the scan."""
     folder = ScanFolder.open(path)
-    kinematics = folder.record().calibration
+    record = folder.record()
+    kinematics, rings = record.calibration, record.plan.ring
     points, towards = [np.empty((0, 3))], [np.empty((0, 3))]
     for index in folder.indices():
         try:
@@ -192,7 +201,9 @@ def _scanned(path: Path) -> Named:
         ways = eyes_mm - here_mm
         points.append(here_mm)
         towards.append(ways / np.linalg.norm(ways, axis=1, keepdims=True))
-    return Named(path.name, View(np.concatenate(points), np.concatenate(towards)), None)
+    view = View(np.concatenate(points), np.concatenate(towards))
+    lifted_mm = abs(kinematics.stage_z_mm)
+    return Named(path.name, view, None, rings.step_mm * lifted_mm if rings else None)
 
 
 def _write_merged(path: Path, merged: Merged) -> None:

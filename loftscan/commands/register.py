@@ -60,6 +60,9 @@ def register(
             f" {max(found.metrics['sd_shift_mm']):.2g} mm"  # type: ignore[call-overload]
         )
         print(f"report: {out / 'report.html'}")
-        print(f"next: loftscan reconstruct {out / 'merged.ply'} --out ...")
+        print(
+            f"next: loftscan reconstruct {out / 'merged.ply'} --spacing-mm {found.spacing_mm:g}"
+            " --out RESULT"
+        )
 
     run(work, debug=debug)

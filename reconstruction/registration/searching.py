@@ -61,10 +61,13 @@ def search(
     middle = moving.sites_mm.mean(axis=0)
     shifts = fixed.sites_mm.mean(axis=0) - turns @ middle
     turns, shifts, scores = look.walk(few, turns, shifts, _FEW_STEPS)
-    best = np.argsort(-scores)[:_BEST]
+    # One of each kind: a symmetric part has ways of which one would crowd out the others.
+    best = _distinct(turns, turns @ middle + shifts, scores, radius_mm)[:_BEST]
     more = _every(moving, _MORE_SITES)
     turns, shifts, scores = look.walk(more, turns[best], shifts[best], _MORE_STEPS)
-    return _distinct(turns, shifts, scores, middle, radius_mm)
+    rows = _distinct(turns, turns @ middle + shifts, scores, radius_mm)
+    hopeful = [row for row in rows if scores[row] >= _HOPEFUL * scores[rows[0]]]
+    return [Laid(turns[row], shifts[row], float(scores[row])) for row in hopeful]
 
 
 def spread_turns(count: int) -> FloatArray:
@@ -155,20 +158,15 @@ def _every(patches: Patches, count: int) -> Patches:
 
 
 def _distinct(
-    turns: FloatArray, shifts: FloatArray, scores: FloatArray, middle: FloatArray, radius_mm: float
-) -> list[Laid]:
-    found: list[Laid] = []
-    places = turns @ middle + shifts
-    kept: list[int] = []
-    for row in np.argsort(-scores):
-        if found and scores[row] < _HOPEFUL * found[0].score:
-            break
-        alike = any(
-            angles_between(turns[row][None], turns[each])[0] < _ALIKE_RAD
-            and np.linalg.norm(places[row] - places[each]) < _ALIKE_MM * radius_mm
-            for each in kept
-        )
-        if not alike:
-            kept.append(int(row))
-            found.append(Laid(turns[row], shifts[row], float(scores[row])))
+    turns: FloatArray, places: FloatArray, scores: FloatArray, radius_mm: float
+) -> list[int]:
+    """Rows of ways none of which is like one before it, best first; places: of the middle."""
+    left = np.argsort(-scores)
+    found: list[int] = []
+    while len(left):
+        row = left[0]
+        found.append(int(row))
+        alike = angles_between(turns[left], turns[row]) < _ALIKE_RAD
+        alike &= np.linalg.norm(places[left] - places[row], axis=1) < _ALIKE_MM * radius_mm
+        left = left[~alike]
     return found
