@@ -17,6 +17,7 @@ from loftscan.commands.calibrate import calibrate
 from loftscan.commands.compare import compare
 from loftscan.commands.demo import demo
 from loftscan.commands.devices import devices
+from loftscan.commands.preview import preview
 from loftscan.commands.reconstruct import reconstruct
 from loftscan.commands.register import register
 from loftscan.commands.scanning import scan
@@ -64,6 +65,7 @@ for each in (
     stop,
     profile,
     calibrate,
+    preview,
     scan,
     reconstruct,
     register,

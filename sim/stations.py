@@ -252,6 +252,9 @@ def station_toml(layout: Layout, addresses: Addresses, part_name: str) -> str:
         sensor_x=mounting.hand.name.lower(),
         azimuth_deg=round(math.degrees(mounting.azimuth_rad), 9),
         upright=kinematics_toml(layout.cut),
+        sensor=layout.sensor,
+        near_width_mm=round(2.0 * layout.sensor.near_mm * layout.sensor.steepest, 6),
+        far_width_mm=round(2.0 * layout.sensor.far_mm * layout.sensor.steepest, 6),
     )
 
 
@@ -365,7 +368,14 @@ standoff_mm = {mounting.standoff_mm}
 side_mm = {mounting.side_mm}
 sensor_x = "{sensor_x}"
 azimuth_deg = {azimuth_deg}
-{upright}"""
+{upright}
+# where the sensor measures: `loftscan preview` draws it
+[field_of_view]
+near_mm = {sensor.near_mm}
+far_mm = {sensor.far_mm}
+near_width_mm = {near_width_mm}
+far_width_mm = {far_width_mm}
+"""
 
 _PLAN = """\
 # Rings over the whole height of the part {part}; positions are the stage's own, in mm.

@@ -6,8 +6,8 @@ A lump without symmetry is scanned by rings, turned over as a person would (by a
 about a horizontal axis, then anyhow on the plate, within a few mm of the middle), and scanned
 again, with other noise. Known is how it was turned: so the registered motion has errors that are
 known, in a rotation vector about the middle and a shift. Told are rms of the errors, their squares
-in units of the reported covariance (chi^2 of 6 freedoms, 6 in the mean), pulls, seconds. A part of revolution, or of three lobes alike, must be refused: told
-are the refusals.
+in units of the reported covariance (chi^2 of 6 freedoms, 6 in the mean), pulls, seconds. A part of
+revolution, or of three lobes alike, must be refused: told are the refusals.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from reconstruction.registration.searching import angles_between, small_turns, s
 from sim.judging import Surface
 from sim.solids import Part
 from tests.campaigns.turned_over import errors_of, lobed, lump, scanned, spun, turned_over
-from tests.loftscan.made_scans import write_scan
+from tests.loftscan.made_scans import sweeps, write_scan
 from tests.system.command_cases import complaint, run, succeeded
 
 CHI2_LIMIT = 27.9  # of 6 freedoms: 1 in 10 000
@@ -130,9 +130,15 @@ def test_a_scan_says_from_where_its_points_were_seen(tmp_path: Path) -> None:
     points_mm, towards = named.view.points_mm, named.view.towards
     assert towards is not None
     assert named.spacing_mm == 4.0
-    np.testing.assert_allclose(np.linalg.norm(towards, axis=1), 1.0)
-    outward = points_mm[:, :2] / np.linalg.norm(points_mm[:, :2], axis=1, keepdims=True)
-    assert np.mean((towards[:, :2] * outward).sum(axis=1) > 0.0) > 0.99
+    # The part turns counter-clockwise: seen from it, the sensor goes round clockwise, 225 mm off.
+    turned = np.concatenate([
+        np.full(len(profile.points_mm), -pose.table_rad)
+        for sweep in sweeps() for profile, pose in zip(sweep.profiles, sweep.poses, strict=True)
+    ])  # fmt: skip
+    eyes_mm = 225.0 * np.stack([np.cos(turned), np.sin(turned)], axis=1)
+    ways = np.column_stack([eyes_mm - points_mm[:, :2], np.zeros(len(turned))])
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    np.testing.assert_allclose(towards, ways, atol=1e-9)
 
 
 def test_the_command_writes_the_folder_and_says_what_is_next(place: Path) -> None:
