@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from acquisition.plan import ring, targets
+from acquisition.poses import Pose, Sweep
 from loftscan import reconstruct, register
 from loftscan.inputs import Unit
 from loftscan.registering import open_view, parse_near
@@ -17,10 +20,13 @@ from reconstruction.arrays import FloatArray
 from reconstruction.errors import NotRegistered, TooFewPoints
 from reconstruction.registration import View, register_views
 from reconstruction.registration.searching import angles_between, small_turns, spread_turns
+from sim import Flaws, Mounting, SeedKey
 from sim.judging import Surface
+from sim.optics import OpticalBench, OpticsSettings
 from sim.solids import Part
 from tests.campaigns.turned_over import errors_of, lobed, lump, scanned, spun, turned_over
-from tests.loftscan.made_scans import sweeps, write_scan
+from tests.loftscan.made_scans import KINEMATICS, SENSOR, _profile, sweeps, write_scan
+from tests.loftscan.test_layouts import keep
 from tests.system.command_cases import complaint, run, succeeded
 
 CHI2_LIMIT = 27.9  # of 6 freedoms: 1 in 10 000
@@ -171,3 +177,42 @@ def test_turns_are_spread_evenly() -> None:
     nearest = [angles_between(turns, each).min() for each in asked]
     # The volume of the rotations over 3000 balls: 12 degrees; a grid reaches every place in twice.
     assert math.degrees(max(nearest)) < 24.0
+
+
+def kept(path: Path, part: Part, seed: int) -> Path:
+    """A .scan folder of 40 rings, as the simulator's optics see the part."""
+    kinematics = replace(KINEMATICS, height_mm=0.0)
+    flaws = Flaws(cloud_width_mm=0.1, outlier_rate=0.001, speckle_points=4, seed=seed)
+    mounting = Mounting(standoff_mm=kinematics.standoff_mm)
+    bench = OpticalBench(part, OpticsSettings(mounting=mounting, sensor=SENSOR, flaws=flaws))
+    plan = ring(0.75, 59.25, 1.5, 24)
+    taken = [
+        Sweep(
+            each.index,
+            tuple(
+                _profile(bench.profile(turn_rad, at_mm, SeedKey(each.index, stop)), stop)
+                for stop, (at_mm, turn_rad) in enumerate(each.stops)
+            ),
+            tuple(Pose(turn_rad, at_mm, 0.0) for at_mm, turn_rad in each.stops),
+        )
+        for each in targets(plan)
+    ]
+    return keep(path, plan, kinematics, taken)
+
+
+def test_two_scans_of_a_part_that_was_turned_over_become_one_part(place: Path) -> None:
+    part = lump()
+    other, back = turned_over(part, np.random.default_rng([3, 9]))
+    kept(place / "upright.scan", part, 1)
+    kept(place / "turned.scan", other, 2)
+    words = ("register", "upright.scan", "turned.scan", "--out", "m", "--json")
+    told = json.loads(succeeded(run(*words)).stdout.splitlines()[-1])
+    apart = np.array(told["transform"]) @ np.linalg.inv(back)
+    assert math.acos(min(1.0, (np.trace(apart[:3, :3]) - 1.0) / 2.0)) < math.radians(0.05)
+    middle = np.append(told["about_mm"], 1.0)
+    assert np.linalg.norm((apart @ middle - middle)[:3]) < 0.02
+    assert told["spacing_mm"] == 1.5
+    succeeded(
+        run("reconstruct", "m/merged.ply", "--spacing-mm", "1.5", "--out", "r", "--formats", "ply")
+    )
+    assert json.loads(Path("r/metrics.json").read_text())["watertight"]
