@@ -101,12 +101,13 @@ class Meridian:
 
     @property
     def reach(self) -> Reach:
-        """The table goes round once, and back at the end."""
+        """The table goes round once, and back to 0 at the end."""
         low_mm, high_mm = self.positions_mm[0], self.positions_mm[-1]
         last_deg = self.angle_deg(self.count - 1)
         turned_deg = abs(self.first_deg) + last_deg - self.first_deg + abs(last_deg)
         lifted_mm = (2 * self.count - 1) * (high_mm - low_mm)
-        return Reach(low_mm, high_mm, self.first_deg, last_deg, turned_deg, lifted_mm)
+        lowest_deg, highest_deg = min(0.0, self.first_deg), max(0.0, last_deg)
+        return Reach(low_mm, high_mm, lowest_deg, highest_deg, turned_deg, lifted_mm)
 
     @property
     def _step_deg(self) -> float:

@@ -125,7 +125,7 @@ def test_a_wrong_plan_is_refused_with_key_and_fix(text: str, said: str) -> None:
         ),
         (
             replace(MERIDIANS, meridian=Meridian(per_turn=4, first_mm=1.0, first_deg=150.0)),
-            "meridian: a turn from 150 to 420 deg leaves the table's soft limits -10.0 to 370.0",
+            "meridian: a turn from 0 to 420 deg leaves the table's soft limits -10.0 to 370.0",
         ),
         (
             replace(STRIPES, stripe=Stripe(first_mm=0.0, last_mm=301.0, step_mm=1.0)),
