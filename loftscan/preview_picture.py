@@ -29,7 +29,7 @@ def preview_figure(found: Preview) -> Figure:
             label = f"{WORDS[fate]}: {rows.mean():.0%}"
             axes.plot(
                 turned[rows], found.places_mm[rows, 2], "s", color=_COLOURS[fate], label=label,
-                markersize=3.2, markeredgewidth=0.0,
+                markersize=4.5, markeredgewidth=0.0,
             )  # fmt: skip
     axes.set_xlim(0.0, 360.0)
     axes.set_xticks(np.arange(0, 361, 45))
