@@ -280,6 +280,22 @@ class CalibrationSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class FieldOfView:
+    """Where the sensor measures, as its data sheet draws it: a trapezium in the sheet of light."""
+
+    near_mm: Annotated[float, Key("the sensor's z where it begins to measure")]
+    far_mm: Annotated[float, Key("the sensor's z where it ends")]
+    near_width_mm: Annotated[float, Key("width there, half of it on either side", above=0.0)]
+    far_width_mm: Annotated[float, Key("width at its end", above=0.0)]
+
+    def __post_init__(self) -> None:
+        if self.near_mm >= self.far_mm:
+            raise ValueError(
+                f"near_mm: {self.near_mm} is not below far_mm {self.far_mm}; swap them"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Station:
     """Everything station.toml says."""
 
@@ -295,6 +311,9 @@ class Station:
     calibration: Annotated[
         CalibrationSettings, Key("what a scan asks of it; see docs/calibration.md")
     ] = CalibrationSettings()
+    field_of_view: Annotated[
+        FieldOfView | None, Key("of the sensor, from its data sheet; `loftscan preview` needs it")
+    ] = None
 
     def __post_init__(self) -> None:
         match self.laser, self.profiler:

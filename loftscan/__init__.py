@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from loftscan.comparing import Comparison
+    from loftscan.registering import Merged, register
     from loftscan.result import Result
     from loftscan.scanning import scan
     from loftscan.sectioning import fit_section
@@ -26,6 +27,7 @@ __all__ = [
     "Comparison",
     "Finished",
     "Fitted",
+    "Merged",
     "Missed",
     "Result",
     "Station",
@@ -33,6 +35,7 @@ __all__ = [
     "fit_section",
     "reconstruct",
     "reconstruct_stream",
+    "register",
     "scan",
     "simulate",
 ]
@@ -41,6 +44,7 @@ _HOMES = {
     "Comparison": "loftscan.comparing",
     "Finished": "loftscan.updates",
     "Fitted": "loftscan.updates",
+    "Merged": "loftscan.registering",
     "Missed": "loftscan.updates",
     "Result": "loftscan.result",
     "Station": "loftscan.station",
@@ -48,6 +52,7 @@ _HOMES = {
     "fit_section": "loftscan.sectioning",
     "reconstruct": "loftscan.verbs",
     "reconstruct_stream": "loftscan.verbs",
+    "register": "loftscan.registering",
     "scan": "loftscan.scanning",
     "simulate": "loftscan.simulation",
 }

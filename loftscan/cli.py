@@ -17,7 +17,9 @@ from loftscan.commands.calibrate import calibrate
 from loftscan.commands.compare import compare
 from loftscan.commands.demo import demo
 from loftscan.commands.devices import devices
+from loftscan.commands.preview import preview
 from loftscan.commands.reconstruct import reconstruct
+from loftscan.commands.register import register
 from loftscan.commands.scanning import scan
 from loftscan.commands.scans import app as scans
 from loftscan.commands.section import section
@@ -63,8 +65,10 @@ for each in (
     stop,
     profile,
     calibrate,
+    preview,
     scan,
     reconstruct,
+    register,
     section,
     compare,
 ):

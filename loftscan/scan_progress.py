@@ -20,12 +20,13 @@ import numpy as np
 
 from acquisition.frames import Kinematics
 from acquisition.loop_closure import Closure, in_words
+from acquisition.patterns import SliceKind
 from acquisition.poses import Sweep
 from acquisition.safety.promises import promise_of_guard
 from acquisition.scan import Progress, StopRequest, Wish
 from drivers.laser import Guarantee
 from drivers.profiler import Reason, Tally
-from loftscan.coverage import turn_coverage
+from loftscan.coverage import sweep_coverage
 from loftscan.scan_folders import Prospect, in_bytes
 
 _WIDTH = 78
@@ -78,6 +79,7 @@ class ScanTeller:
         self._clock = clock
         self._begun_s = clock()
         self._coverage: float | None = None
+        self._kind = SliceKind.RING
         self._last: Progress | None = None
         self._torn_profiles = 0  # kept, with points that were lost on the wire
         self._lost_points = 0
@@ -86,6 +88,7 @@ class ScanTeller:
     def estimate(self, here: Prospect) -> None:
         """Say what the run will cost, before anything is opened."""
         cost = here.cost
+        self._kind = here.plan.kind
         if self._manner is Manner.JSON:
             self._say(
                 event="estimate", slices=cost.slices, kept=len(here.kept), profiles=cost.profiles,
@@ -141,7 +144,7 @@ class ScanTeller:
 
     def kept(self, sweep: Sweep) -> None:
         """Tell that a slice is safe on the disk."""
-        self._coverage = turn_coverage(sweep, self._kinematics)
+        self._coverage = sweep_coverage(sweep, self._kinematics, self._kind)
         self._count_lost(sweep)
         last = self._last
         if last is None:
@@ -161,7 +164,7 @@ class ScanTeller:
     def done(self, here: Prospect) -> None:
         """Tell that the scan is complete."""
         seconds = self._clock() - self._begun_s
-        slices = here.plan.ring.count
+        slices = here.plan.count
         if self._manner is Manner.JSON:
             out = str(here.out)
             self._say(
@@ -178,7 +181,7 @@ class ScanTeller:
         """Tell that the run ended at a slice's border."""
         if self._manner is Manner.JSON:
             self._say(
-                event="paused", out=str(here.out), kept=kept, slices=here.plan.ring.count,
+                event="paused", out=str(here.out), kept=kept, slices=here.plan.count,
                 **self._frames(),
             )  # fmt: skip
         self.end_line()

@@ -15,7 +15,7 @@ class Standing:
 
     done: int  # slices that came, or never will
     total: int | None  # of the plan, if it is known
-    coverage: float  # share of the turn in which the last slice has points
+    coverage: float  # share of the turn, or of an open slice's places, with points in the last
     lag_s: float | None  # from the appearance of the slice's file to now, if it was waited for
 
 

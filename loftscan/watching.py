@@ -1,6 +1,6 @@
 """A scan that is followed, as it is shown: a line for a person, JSON lines for a program.
 
-``slice 12 of 100  1.9/s  97 % of the turn  0:00:45 left`` on a terminal, nothing into a pipe.
+``slice 12 of 100  1.9/s  97 % seen  0:00:45 left`` on a terminal, nothing into a pipe.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ class _Shown:
             description="slice",
             completed=standing.done,
             total=standing.total,
-            seen=f"{standing.coverage:.0%} of the turn",
+            seen=f"{standing.coverage:.0%} seen",
         )
 
 

@@ -5,6 +5,7 @@
     ├── Unfittable                 points that no curve can be laid through
     ├── NotLoftable                sections that cannot be joined to one surface
     ├── UnreadableCloud(OSError)   the input file is missing, damaged or of no known format
+    ├── NotRegistered              two views that cannot be laid onto each other, or in many ways
     ├── CleanupFailed              the mesh child died, ran out of time or memory, broke a promise
     └── MissingExtra(ImportError)  an optional library, or a system library, is not installed
 
@@ -32,6 +33,10 @@ class NotLoftable(ReconstructionError):  # noqa: N818
     def __init__(self, message: str, *, indices: tuple[int, ...] = ()) -> None:
         super().__init__(message)
         self.indices = indices
+
+
+class NotRegistered(ReconstructionError):  # noqa: N818
+    """Two views that share too little, or whose shape leaves open how one lies to the other."""
 
 
 class UnreadableCloud(ReconstructionError, OSError):  # noqa: N818

@@ -16,7 +16,7 @@ from acquisition.plan import ring
 from acquisition.poses import Pose, Sweep
 from acquisition.scan import Progress, StopRequest
 from drivers.profiler import Profile, Reason, Tally
-from loftscan.coverage import turn_coverage
+from loftscan.coverage import sweep_coverage
 from loftscan.profile_view import Glyphs, numbers, picture, sentence, table
 from loftscan.scan_folders import in_bytes
 from loftscan.scan_progress import Manner, Pace, ScanTeller, in_time
@@ -92,14 +92,14 @@ def turned(stops: int, half_width_mm: float) -> Sweep:
 @pytest.mark.parametrize(("stops", "share"), [(1, 60 / 360), (3, 180 / 360), (6, 1.0)])
 def test_coverage_is_the_share_of_the_turn_that_has_points(stops: int, share: float) -> None:
     # Half a chord of 25 mm on a radius of 50 is 30 degrees to either side.
-    assert turn_coverage(turned(stops, 25.0), KINEMATICS) == pytest.approx(
+    assert sweep_coverage(turned(stops, 25.0), KINEMATICS) == pytest.approx(
         share, abs=3 * stops / 360
     )
 
 
 def test_a_slice_without_a_point_covers_nothing() -> None:
     empty = made([0.0], [0.0], [Reason.LOST])
-    assert turn_coverage(Sweep(0, (empty,), (Pose(0.0, 0.0, 0.0),)), KINEMATICS) == 0.0
+    assert sweep_coverage(Sweep(0, (empty,), (Pose(0.0, 0.0, 0.0),)), KINEMATICS) == 0.0
 
 
 def test_pace_and_time_left_follow_from_what_is_done() -> None:
