@@ -1,4 +1,4 @@
-"""What a scan is to do: rings at stage heights, step and shoot; checked before anything moves.
+"""What a scan is to do: rings at stage heights; checked before anything moves.
 
 ::
 
@@ -7,6 +7,8 @@
        |   o o o o   each ring: profiles_per_turn stops from 0 on, the same angles in every ring
        |   o o o o
        +------------ table_rad   0, tau/n, 2 tau/n ... tau (n-1)/n; then back to 0
+
+Each ring is taken step and shoot, or while the table turns: `acquisition.continuous`.
 """
 
 from __future__ import annotations
@@ -17,6 +19,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from acquisition.continuous import (
+    Continuous,
+    check_continuous,
+    turning_seconds,
+    turns_measured,
+)
 from acquisition.settings import (
     Key,
     commented_toml,
@@ -76,7 +84,16 @@ class Plan:
     """Everything plan.toml says."""
 
     ring: Annotated[Ring, Key("where: rings")]
-    step_and_shoot: Annotated[StepAndShoot, Key("how: stop, settle, measure")]
+    step_and_shoot: Annotated[StepAndShoot | None, Key("how: stop, settle, measure")] = None
+    continuous: Annotated[Continuous | None, Key("how: measure while the table turns")] = None
+
+    def __post_init__(self) -> None:
+        if self.step_and_shoot is None and self.continuous is None:
+            raise ValueError(
+                "step_and_shoot is missing; add a [step_and_shoot] table, or a [continuous] one"
+            )
+        if self.step_and_shoot is not None and self.continuous is not None:
+            raise ValueError("continuous: there is [step_and_shoot], too; remove one of them")
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +102,7 @@ class Target:
 
     index: int
     stage_mm: float
-    table_rad: tuple[float, ...]
+    table_rad: tuple[float, ...]  # of a table that turns steadily: where its profiles are due
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +161,9 @@ def check_plan(plan: Plan, station: Station, name: str = "plan.toml") -> None:
             f"{name}: ring.last_mm: the last ring, at {top_mm:g}, is above the stage's soft limit"
             f" highest_mm {stage.highest_mm}; lower it"
         )
+    if plan.continuous is not None:
+        check_continuous(plan.continuous, plan.ring.profiles_per_turn, station, name)
+        return
     if table.lowest_deg > 0.0 or table.highest_deg < last_deg:
         raise ValueError(
             f"{name}: ring: a turn from 0 to {last_deg:g} deg leaves the table's soft limits"
@@ -159,10 +179,17 @@ def check_plan(plan: Plan, station: Station, name: str = "plan.toml") -> None:
 def estimate(plan: Plan, station: Station) -> Estimate:
     """Tell how long a plan takes at least and how many bytes it keeps at most."""
     rings, stops = plan.ring.count, plan.ring.profiles_per_turn
-    profiles = rings * stops * plan.step_and_shoot.profiles_per_stop
-    turning_s = rings * 2.0 * 360.0 * (stops - 1) / stops / station.table.speed_deg_s
     lifting_s = (rings - 1) * plan.ring.step_mm / station.stage.speed_mm_s
-    standing_s = rings * stops * plan.step_and_shoot.settle_s + profiles / station.profiler.rate_hz
+    if plan.step_and_shoot is not None:
+        profiles = rings * stops * plan.step_and_shoot.profiles_per_stop
+        turning_s = rings * 2.0 * 360.0 * (stops - 1) / stops / station.table.speed_deg_s
+        standing_s = rings * stops * plan.step_and_shoot.settle_s
+        standing_s += profiles / station.profiler.rate_hz
+    else:
+        assert plan.continuous is not None  # a plan has one of them
+        profiles = turns_measured(plan.continuous, rings) * stops
+        turning_s = turning_seconds(plan.continuous, rings, stops, station)
+        standing_s = 0.0
     points = profiles * station.profiler.points_per_profile
     kept = points * _BYTES_A_POINT + profiles * _BYTES_A_PROFILE + rings * _BYTES_A_SLICE
     return Estimate(rings, profiles, turning_s + lifting_s + standing_s, kept)

@@ -20,9 +20,10 @@ import numpy as np
 
 from acquisition.frames import Kinematics
 from acquisition.loop_closure import Closure, in_words
-from acquisition.poses import Sweep
+from acquisition.poses import Sweep, Timing
 from acquisition.safety.promises import promise_of_guard
 from acquisition.scan import Progress, StopRequest, Wish
+from acquisition.timing import in_words as in_words_timing
 from drivers.laser import Guarantee
 from drivers.profiler import Reason, Tally
 from loftscan.coverage import turn_coverage
@@ -154,9 +155,13 @@ class ScanTeller:
                 profiles=len(sweep.profiles), lost_profiles=last.lost_profiles,
                 coverage=round(self._coverage, 4), seconds=round(pace.seconds, 3),
                 slices_per_min=round(pace.slices_per_min, 2), left_s=round(pace.left_s or 0.0, 1),
+                **({} if sweep.timing is None else {"timing": _timing(sweep.timing)}),
             )  # fmt: skip
-        elif self._manner is Manner.LINES:
+            return
+        if self._manner is Manner.LINES:
             self._print(f"slice {done} of {last.slices}{self._how(pace)}")
+        if sweep.timing is not None:
+            self._print(f"slice {sweep.index}: {in_words_timing(sweep.timing)}")
 
     def done(self, here: Prospect) -> None:
         """Tell that the scan is complete."""
@@ -263,6 +268,24 @@ class ScanTeller:
             self._stop.leave()
             with Path(os.devnull).open("wb") as nowhere:  # what is still buffered goes there
                 os.dup2(nowhere.fileno(), self._stream.fileno())
+
+
+def _timing(timing: Timing) -> dict[str, object]:
+    """What a turning table's poses can be off, as JSON knows numbers."""
+    told = {
+        "speed_deg_s": math.degrees(timing.speed_rad_s),
+        "latency_ms": 1e3 * timing.latency_s,
+        "latency_sd_ms": 1e3 * timing.latency_sd_s,
+        "drift_ppm": timing.drift_ppm,
+        "clock_rms_ms": 1e3 * timing.clock_rms_s,
+        "table_rms_deg": math.degrees(timing.table_rms_rad),
+        "apart_mm": timing.apart_mm,
+        "noise_mm": timing.noise_mm,
+    }
+    finite: dict[str, object] = {
+        name: value if math.isfinite(value) else None for name, value in told.items()
+    }
+    return {**finite, "lost_profiles": timing.lost}
 
 
 def in_time(seconds: float) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import random
 import signal
 import sys
 import time
@@ -29,6 +30,7 @@ from sim.parts import PARTS, find_part
 from sim.port_names import vanishing
 from sim.profilers import ProfilerFamily
 from sim.relay import Contact
+from sim.sensor_clock import SensorClock
 from sim.serving import Ending, Server
 from sim.stations import (
     PLAN_RINGS,
@@ -89,6 +91,8 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
         stage_family=StageFamily(wanted.stage),
         profiler_family=ProfilerFamily(wanted.profiler),
         laser=_laser_of(wanted),
+        rate_hz=wanted.rate_hz,
+        sensor_clock=_sensor_clock(wanted),
         crooked=Crookedness() if wanted.crooked else None,
     )
     files = _files(wanted, folder)
@@ -109,6 +113,15 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
                 _end_with_stdin(server, ending, devices, cabling)
             _tell(files, as_json=wanted.json)
             server.run(ending)
+
+
+def _sensor_clock(wanted: argparse.Namespace) -> SensorClock | None:
+    """A clock of the sensor's own, where anybody asked for one or for more than it usually does."""
+    latency_ms, drift_ppm = wanted.sensor_latency_ms, wanted.sensor_drift_ppm
+    if not (latency_ms or drift_ppm) and wanted.rate_hz <= Layout().rate_hz:
+        return None
+    started_s = random.Random(f"{wanted.seed} clock").uniform(10.0, 1e5)
+    return SensorClock(latency_s=latency_ms / 1e3, drift_ppm=drift_ppm, started_s=started_s)
 
 
 def _laser_of(wanted: argparse.Namespace) -> LaserWiring:
@@ -200,6 +213,9 @@ def _parser() -> argparse.ArgumentParser:
     profilers = [each.value for each in ProfilerFamily]
     default = normal.profiler_family.value
     option("--profiler", choices=profilers, default=default, help="family of what measures")
+    option("--rate-hz", type=float, default=normal.rate_hz, help="of a profiler that streams")
+    option("--sensor-latency-ms", type=float, default=0.0, help="from the light to its time stamp")
+    option("--sensor-drift-ppm", type=float, default=0.0, help="how fast its clock is")
     option("--rings", type=_count_from(1), default=PLAN_RINGS, help="of plan.toml")
     option("--stops", type=_count_from(3), default=PLAN_STOPS, help="of the table, in each ring")
     option("--faults", default="", metavar="NAME,NAME=N", help="what is wrong; --list names all")

@@ -48,6 +48,7 @@ from sim.profilers import (
 )
 from sim.relay import RelayBlock
 from sim.sensor import Flaws, Mounting, Sensor
+from sim.sensor_clock import SensorClock
 from sim.serving import Server
 from sim.solids import Part
 from sim.wires import Pty, TcpListener
@@ -78,6 +79,7 @@ class Layout:
     mounting: Mounting = field(default_factory=lambda: Mounting(height_mm=-3.0))
     sensor: Sensor = field(default_factory=lambda: Sensor(points=640))
     rate_hz: float = 100.0
+    sensor_clock: SensorClock | None = None  # None: it measures when it is looked at
     table_family: TableFamily = TableFamily.GRBL
     stage_family: StageFamily = StageFamily.LEADSHINE
     profiler_family: ProfilerFamily = ProfilerFamily.BAUMER_OX
