@@ -57,9 +57,10 @@ def kept_scans(place: Path) -> tuple[KeptScan, ...]:
 def plan_in_words(plan: Plan) -> str:
     """A plan on one line."""
     ring = plan.ring
+    how = "stops" if plan.continuous is None else "profiles a turn, turning"
     return (
         f"{ring.count} rings from {ring.first_mm:g} mm by {ring.step_mm:g} mm,"
-        f" {ring.profiles_per_turn} stops"
+        f" {ring.profiles_per_turn} {how}"
     )
 
 

@@ -83,10 +83,12 @@ class ScanTeller:
         self._torn_profiles = 0  # kept, with points that were lost on the wire
         self._lost_points = 0
         self._line = ""
+        self._turned = False  # the table turns while it is measured
 
     def estimate(self, here: Prospect) -> None:
         """Say what the run will cost, before anything is opened."""
         cost = here.cost
+        self._turned = here.plan.continuous is not None
         if self._manner is Manner.JSON:
             self._say(
                 event="estimate", slices=cost.slices, kept=len(here.kept), profiles=cost.profiles,
@@ -123,7 +125,7 @@ class ScanTeller:
             done = progress.slices_done + progress.stops_done / progress.stops
             self._rewrite(
                 f"slice {progress.slices_done + 1} of {progress.slices},"
-                f" stop {progress.stops_done} of {progress.stops}"
+                f" {'profile' if self._turned else 'stop'} {progress.stops_done} of {progress.stops}"
                 + self._how(Pace(self._clock() - self._begun_s, done, progress.slices))
             )
 
@@ -222,9 +224,14 @@ class ScanTeller:
         frames = self._frames()
         if self._manner is not Manner.JSON and any(frames.values()):
             dropped, torn, bad = frames.values()
+            then = (
+                "those of a slice have their places in it, marked as lost"
+                if self._turned
+                else "exposures were repeated for those that were wanted"
+            )
             self._print(
                 f"profiler: {dropped} frames dropped, {torn} torn, {bad} damaged on their way;"
-                " exposures were repeated for those that were wanted"
+                f" {then}"
             )
 
     def _warn_of_lost(self) -> None:
