@@ -7,9 +7,10 @@ Profile by profile, in the sensor's plane at the kept pose::
       | o-d-o kept    median over a stretch: what moved;  spread around it: the sensor's noise
       +------- x
 
-Of a table that turned, the profiles nearest to evenly spaced angles are moved there before. The difference is the rms of the medians, beyond what noise alone makes of them; the worst 5 % of
-them are left out, so that a few at an edge do not decide. Twice the noise would be no
-difference to see in the surface; three times is refused.
+Of a table that turned, the profiles nearest to evenly spaced angles are moved there before. The
+difference is the rms of the medians, beyond what noise alone makes of them; the worst 5 % of them
+are left out, so that a few at an edge do not decide. Twice the noise would be no difference to see
+in the surface; three times is refused.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Generator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -304,11 +304,16 @@ class _Scan:
         low_rad, high_rad = -math.radians(plan.run_in_deg), math.radians(360.0 + plan.run_in_deg)
         backward = sense is Sense.BACKWARD
         begin_rad, end_rad = (high_rad, low_rad) if backward else (low_rad, high_rad)
+        table, settings = self._station.table, self._station.settings.table
+        tolerance_rad = math.radians(settings.tolerance_deg)
         for tries_left in reversed(range(_TRIES)):
-            if self._station.table.state().position != begin_rad:
-                self._station.table.move_to(begin_rad, self._pause)
+            if abs(table.state().position - begin_rad) > tolerance_rad:
+                table.move_to(begin_rad, self._pause)
             try:
-                return turner.turn(end_rad, speed_rad_s)
+                turned = turner.turn(end_rad, speed_rad_s)
+                # Downward the gear drives the part by its other flank: it lags by the play.
+                play_rad = math.radians(settings.backlash_deg) if backward else 0.0
+                return replace(turned, table_rad=turned.table_rad + play_rad)
             except (LeaseLapsed, FrameError):
                 if not tries_left:
                     raise

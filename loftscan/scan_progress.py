@@ -123,9 +123,10 @@ class ScanTeller:
         self._last = progress
         if self._manner is Manner.LIVE:
             done = progress.slices_done + progress.stops_done / progress.stops
+            what = "profile" if self._turned else "stop"
             self._rewrite(
                 f"slice {progress.slices_done + 1} of {progress.slices},"
-                f" {'profile' if self._turned else 'stop'} {progress.stops_done} of {progress.stops}"
+                f" {what} {progress.stops_done} of {progress.stops}"
                 + self._how(Pace(self._clock() - self._begun_s, done, progress.slices))
             )
 
