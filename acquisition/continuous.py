@@ -95,10 +95,10 @@ def check_continuous(
             f" {speed:g} deg/s, and its speed_deg_s is {table.speed_deg_s:g}; write"
             f" ring.profiles_per_turn = {least} or more"
         )
-    if continuous.run_in_deg < 1.0 + 2.0 * table.backlash_deg:
+    if continuous.run_in_deg < (least_deg := 1.0 + 2.0 * table.backlash_deg):
         raise ValueError(
             f"{where}.run_in_deg: {continuous.run_in_deg:g} does not take up the table's"
-            f" backlash_deg {table.backlash_deg:g}; write {1.0 + 2.0 * table.backlash_deg:g} or more"
+            f" backlash_deg {table.backlash_deg:g}; write {least_deg:g} or more"
         )
     lowest = -continuous.run_in_deg - table.backlash_deg
     highest = TURN_DEG + continuous.run_in_deg

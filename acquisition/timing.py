@@ -26,6 +26,7 @@ from drivers.errors import Refused
 from drivers.profiler import Profile
 
 _KNOWN_RAD = 1e-4  # of the table: 3 um at 30 mm from its axis, less than a profiler's noise
+_TIMES_NOISE = 3.0  # as for a slice that a resume takes again
 _NUMBERS = 1 << 32
 _NOTHING = Shift(math.nan, math.inf, math.nan, math.nan)
 
@@ -89,8 +90,8 @@ def timed_sweep(
     Raises
     ------
     Refused
-        The table did not turn steadily.
-        Or told where it is too rarely.
+        The table did not turn steadily, told where it is too rarely, or shows another part on its
+        way back.
     """
     for turn in turns:
         keeper.clock.hear(turn.stamps_s, turn.arrived_s)
@@ -99,6 +100,7 @@ def timed_sweep(
     shift = _NOTHING
     if len(turns) == 2:
         shift = _shift(turns, courses, line, steady.speed_rad_s)
+        _must_agree(index, shift)
         keeper.learn(shift, steady.speed_rad_s)
     latency_s = 0.0 if math.isnan(keeper.latency_s) else keeper.latency_s
     profiles: list[Profile] = []
@@ -157,6 +159,16 @@ def _shift(
         return shift_between(views[0], views[1], speed_rad_s)
     except ValueError:
         return _NOTHING  # nearly nothing was seen at this height
+
+
+def _must_agree(index: int, shift: Shift) -> None:
+    """No latency explains what is left: whatever it is, no angle is to be believed."""
+    if shift.apart_mm > _TIMES_NOISE * shift.noise_mm:
+        raise Refused(
+            f"table: slice {index}, seen both ways round, lies {shift.apart_mm:.4f} mm from itself"
+            f" (noise {shift.noise_mm:.4f} mm), whatever the latency; did the part slip, or the"
+            " table lose steps? fasten it, turn more slowly, or step and shoot"
+        )
 
 
 def _with_gaps(turn: Turned, nothing: Profile) -> list[tuple[Profile, float]]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import random
 import signal
@@ -32,6 +33,7 @@ from sim.profilers import ProfilerFamily
 from sim.relay import Contact
 from sim.sensor_clock import SensorClock
 from sim.serving import Ending, Server
+from sim.solids import Part
 from sim.stations import (
     PLAN_RINGS,
     PLAN_STOPS,
@@ -42,10 +44,12 @@ from sim.stations import (
     plan_toml,
     station_toml,
     truth_ply,
+    turning_plan_toml,
 )
 from sim.witness import WitnessLog
 
 _DONE, _FAILED, _BAD_USAGE = 0, 1, 2
+_TURNING_DEG_S = 60.0  # of a plan with --continuous
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +107,7 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
         with Server(lively=devices.lively) as server:
             addresses = connect(devices, layout, cabling, server, folder)
             files.truth.write_bytes(truth_ply(part))
-            plan = plan_toml(layout, part, rings=wanted.rings, stops=wanted.stops)
+            plan = _plan(wanted, layout, part)
             files.plan.write_text(plan, encoding="utf-8")
             files.station.write_text(station_toml(layout, addresses, part.name), encoding="utf-8")
             if part.name in CERTIFICATES:
@@ -115,10 +119,17 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
             server.run(ending)
 
 
+def _plan(wanted: argparse.Namespace, layout: Layout, part: Part) -> str:
+    if not wanted.continuous:
+        return plan_toml(layout, part, rings=wanted.rings, stops=wanted.stops or PLAN_STOPS)
+    turn = wanted.stops or math.ceil(360.0 * layout.rate_hz / _TURNING_DEG_S)
+    return turning_plan_toml(layout, part, rings=wanted.rings, profiles_per_turn=turn)
+
+
 def _sensor_clock(wanted: argparse.Namespace) -> SensorClock | None:
     """A clock of the sensor's own, where anybody asked for one or for more than it usually does."""
     latency_ms, drift_ppm = wanted.sensor_latency_ms, wanted.sensor_drift_ppm
-    if not (latency_ms or drift_ppm) and wanted.rate_hz <= Layout().rate_hz:
+    if not (latency_ms or drift_ppm or wanted.continuous) and wanted.rate_hz <= Layout().rate_hz:
         return None
     started_s = random.Random(f"{wanted.seed} clock").uniform(10.0, 1e5)
     return SensorClock(latency_s=latency_ms / 1e3, drift_ppm=drift_ppm, started_s=started_s)
@@ -217,7 +228,8 @@ def _parser() -> argparse.ArgumentParser:
     option("--sensor-latency-ms", type=float, default=0.0, help="from the light to its time stamp")
     option("--sensor-drift-ppm", type=float, default=0.0, help="how fast its clock is")
     option("--rings", type=_count_from(1), default=PLAN_RINGS, help="of plan.toml")
-    option("--stops", type=_count_from(3), default=PLAN_STOPS, help="of the table, in each ring")
+    option("--stops", type=_count_from(3), help="of the table, in each ring")
+    option("--continuous", action="store_true", help="plan.toml turns the table steadily")
     option("--faults", default="", metavar="NAME,NAME=N", help="what is wrong; --list names all")
     wirings = [each.value for each in LaserWiring]
     option("--laser", choices=wirings, help="what switches it; absent: turck, a hokuyo its own")

@@ -256,6 +256,15 @@ def plan_toml(
     layout: Layout, part: Part, *, rings: int = PLAN_RINGS, stops: int = PLAN_STOPS
 ) -> str:
     """Write a plan.toml whose rings lie equidistant from a part's foot to its top."""
+    return _rings_toml(layout, part, rings, stops) + _STOPPING
+
+
+def turning_plan_toml(layout: Layout, part: Part, *, rings: int, profiles_per_turn: int) -> str:
+    """Write the same for a table that turns while it is measured."""
+    return _rings_toml(layout, part, rings, profiles_per_turn) + _TURNING
+
+
+def _rings_toml(layout: Layout, part: Part, rings: int, stops: int) -> str:
     height_mm = float(part.vertices_mm[:, 2].max())
     step_mm = height_mm / rings
     ends_mm = [
@@ -367,7 +376,16 @@ last_mm = {last_mm}
 step_mm = {step_mm}
 profiles_per_turn = {stops}
 
+"""
+
+_STOPPING = """\
 [step_and_shoot]
 settle_s = 0.0  # the simulated axes do not swing after they have stopped
 profiles_per_stop = 1
+"""
+
+_TURNING = """\
+[continuous]
+run_in_deg = 15.0
+way_back = "empty"
 """
