@@ -42,7 +42,7 @@ class Shift:
     shift_rad: float  # half of it: w tau; nan where the part does not tell
     sd_rad: float  # one standard deviation; inf where the part does not tell
     apart_mm: float  # root mean square between the images after it, noise and all, strays left out
-    noise_mm: float  # the part of that which changes from one cell to the next
+    noise_mm: float  # the part of that which changes from profile to profile
 
     @property
     def told(self) -> bool:
@@ -137,7 +137,7 @@ def _first_look(images: Sequence[_Image], speed_rad_s: float) -> float:
 def _refined(images: Sequence[_Image], start_rad: float, speed_rad_s: float) -> Shift:
     forward, backward = images
     grid, shift, most = _grid(_CELLS), start_rad, speed_rad_s * 0.02
-    off = np.empty(0)
+    off, lag = np.empty(0), _lag(images)
     for _ in range(_STEPS):
         there, here = _at(forward, grid + shift), _at(backward, grid - shift)
         off = there - here
@@ -147,14 +147,14 @@ def _refined(images: Sequence[_Image], start_rad: float, speed_rad_s: float) -> 
         steep = 4.0 * np.nansum(weight * slopes[0] * slopes[1], axis=1)
         pulled, steep = (_by_sector(each) for each in (pulled, steep))
         if not _stands_out(steep):
-            return Shift(math.nan, math.inf, *_rms(off, weight))
+            return Shift(math.nan, math.inf, *_rms(off, weight, lag))
         step = -float(pulled.sum() / steep.sum())
         shift += min(max(step, -most), most)
         if abs(step) < 1e-7:
             break
     spread = pulled - pulled.mean()
     sd = math.sqrt(float(np.sum(spread**2)) * _SECTORS / (_SECTORS - 1)) / float(steep.sum())
-    return Shift(shift, sd, *_rms(off, weight))
+    return Shift(shift, sd, *_rms(off, weight, lag))
 
 
 def _slope(z: FloatArray) -> FloatArray:
@@ -187,8 +187,14 @@ def _stands_out(steep: FloatArray) -> bool:
     return float(steep.sum()) > _TURNS_SEEN * math.sqrt(_SECTORS) * min(around, anywhere)
 
 
-def _rms(off: FloatArray, weight: FloatArray) -> tuple[float, float]:
-    """Root mean square of what was kept, and of its change from cell to cell."""
+def _rms(off: FloatArray, weight: FloatArray, lag: int) -> tuple[float, float]:
+    """Root mean square of what was kept, and of its change from cell to cell that are so far."""
     kept = np.where(weight > 0.0, off, math.nan)
-    change = np.diff(kept, axis=0) / math.sqrt(2.0)
+    change = (kept[lag:] - kept[:-lag]) / math.sqrt(2.0)
     return math.sqrt(float(np.nanmean(kept**2))), math.sqrt(float(np.nanmean(change**2)))
+
+
+def _lag(images: Sequence[_Image]) -> int:
+    """How many cells apart no two are read off the same profile."""
+    widest = max(float(np.median(np.diff(angles))) for angles, _ in images)
+    return 1 + math.ceil(widest / (math.tau / _CELLS))
