@@ -5,9 +5,9 @@ that looks up now and then; never earlier. So the line under all that was heard 
 the station's, drift included, but for a constant: the latency, which `acquisition.latency` finds::
 
     heard |   .   :  .       The table's angle between the times at which it was asked: straight
-          | . : ._.--'       pieces by least squares, as few as the answers bear (Schwarz 1978,
-          |_.--'  <- line    doi:10.1214/aos/1176344136), so that what scatters in their times
-          +--------- stamp   averages out and what the table truly does stays.
+          | . : ._.--'       pieces by asymmetric least squares (Newey and Powell 1987,
+          |_.--'  <- line    doi:10.2307/1911031), as few as the answers bear (Schwarz 1978,
+          +--------- stamp   doi:10.1214/aos/1176344136): what answers late does not pull.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ _CELL_S = 0.05  # of the sensor's clock: of each only what was heard first can l
 _MOST_CELLS = 20_000  # a quarter of an hour of measuring: a drift is constant for so long
 _PIECES = (1, 2, 4, 8, 16)
 _SAMPLES_A_PIECE = 4
-_TRIMMINGS = 6
-_STRAY = 3.0  # sigma
+_ROUNDS = 12
+_LATE = 0.005  # weight of an answer that is later than the course
 _FINEST_RAD = 1e-7  # below what any table tells
 
 
@@ -95,7 +95,7 @@ class TableCourse:
 
     knots_s: FloatArray  # (k,)
     knots_rad: FloatArray  # (k,)
-    residual_rad: float  # root mean square of the answers from it
+    residual_rad: float  # root mean square of answers before it: none is early but by the table
 
     def at(self, time_s: FloatArray) -> FloatArray:
         """Angles (n,) at times (n,); beyond the outer knots the outer pieces go on."""
@@ -121,26 +121,30 @@ def table_course(asked_s: FloatArray, table_rad: FloatArray) -> TableCourse:
         if best is not None and count < _SAMPLES_A_PIECE * pieces:
             break
         knots_s = np.linspace(asked_s[0], asked_s[-1], pieces + 1)
-        knots_rad, sigma, rms = _fitted(_hats(asked_s, knots_s), table_rad - table_rad[0])
-        cost = 2.0 * count * math.log(max(sigma, 1e-12)) + (pieces + 1) * math.log(count)
+        knots_rad, rms, early = _fitted(_hats(asked_s, knots_s), table_rad - table_rad[0])
+        cost = 2.0 * count * math.log(max(rms, _FINEST_RAD)) + (pieces + 1) * math.log(count)
         if best is None or cost < best[0]:
-            best = cost, TableCourse(knots_s, knots_rad + table_rad[0], rms)
+            best = cost, TableCourse(knots_s, knots_rad + table_rad[0], early)
     assert best is not None  # one piece is always tried
     return best[1]
 
 
 def _fitted(hats: FloatArray, angles_rad: FloatArray) -> tuple[FloatArray, float, float]:
-    """Knots by least squares without stray answers; scatter by the median, and rms of the others.
+    """Knots by asymmetric least squares; rms in the same weights; rms of what is early.
 
-    A device that was busy answers late, never early: such answers lie to one side, and would pull.
+    A device that is busy answers late, never early, and a late answer is further on the table's
+    way: it counts little. So a busy hour does not turn the part against a quiet one.
     """
-    kept = np.ones(len(angles_rad), bool)
-    for _ in range(_TRIMMINGS):
-        knots_rad = np.linalg.lstsq(hats[kept], angles_rad[kept], rcond=None)[0]
+    onward = math.copysign(1.0, float(angles_rad[-1] - angles_rad[0]))
+    weight = np.ones(len(angles_rad))
+    for _ in range(_ROUNDS):
+        root = np.sqrt(weight)
+        knots_rad = np.linalg.lstsq(hats * root[:, None], angles_rad * root, rcond=None)[0]
         off = angles_rad - hats @ knots_rad
-        sigma = 1.4826 * float(np.median(np.abs(off - np.median(off))))
-        kept = np.abs(off - np.median(off)) <= max(_STRAY * sigma, _FINEST_RAD)
-    return np.asarray(knots_rad), sigma, float(np.sqrt(np.mean(off[kept] ** 2)))
+        weight = np.where(onward * off > 0.0, _LATE, 1.0)
+    early = off[onward * off <= 0.0]
+    rms, early_rms = np.sqrt(np.average(off**2, weights=weight)), np.sqrt(np.mean(early**2))
+    return np.asarray(knots_rad), float(rms), float(early_rms)
 
 
 def _hats(at_s: FloatArray, knots_s: FloatArray) -> FloatArray:
