@@ -138,6 +138,7 @@ def _refined(images: Sequence[_Image], start_rad: float, speed_rad_s: float) -> 
     forward, backward = images
     grid, shift, most = _grid(_CELLS), start_rad, speed_rad_s * 0.02
     off, lag = np.empty(0), _lag(images)
+    bounds = speed_rad_s * _EARLIEST_S, speed_rad_s * _LATEST_S
     for _ in range(_STEPS):
         there, here = _at(forward, grid + shift), _at(backward, grid - shift)
         off = there - here
@@ -149,7 +150,7 @@ def _refined(images: Sequence[_Image], start_rad: float, speed_rad_s: float) -> 
         if not _stands_out(steep):
             return Shift(math.nan, math.inf, *_rms(off, weight, lag))
         step = -float(pulled.sum() / steep.sum())
-        shift += min(max(step, -most), most)
+        shift = float(np.clip(shift + np.clip(step, -most, most), *bounds))
         if abs(step) < 1e-7:
             break
     spread = pulled - pulled.mean()

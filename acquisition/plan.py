@@ -53,7 +53,10 @@ class Ring:
     ]
     step_mm: Annotated[float, Key("from ring to ring", above=0.0)]
     profiles_per_turn: Annotated[
-        int, Key("stops of the table in each ring", at_least=3, at_most=1e6)
+        int,
+        Key(
+            "stops of the table in each ring; turning, what sets its speed", at_least=3, at_most=1e6
+        ),
     ]
 
     def __post_init__(self) -> None:

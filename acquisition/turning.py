@@ -30,6 +30,7 @@ from drivers.sweeping import Course, Sweeper
 
 _KEEP_ON_S = LONGEST_WAIT_S / 2  # half, because switching on again takes its time, too
 _NUMBERS = 1 << 32
+_LONGEST_STEP_S = 1.0  # between stamps: longer silences end a turn before
 _AFTER_S = 0.02  # listened on after the table stands: what is under way arrives
 
 
@@ -160,10 +161,13 @@ class _Listening(Pause):
         numbers = tuple(sorted(by_number))
         chosen = [by_number[number] for number in numbers]
         profiles = tuple(self._profiles[k] for k in chosen)
-        if any(b.sensor_time_s <= a.sensor_time_s for a, b in pairwise(profiles)):
+        if any(
+            not 0.0 < b.sensor_time_s - a.sensor_time_s < _LONGEST_STEP_S
+            for a, b in pairwise(profiles)
+        ):
             raise FrameError(
-                "profiler: its time stamps do not grow from profile to profile; was it restarted,"
-                " or are its stamps switched off?"
+                "profiler: its time stamps do not go on from profile to profile; was it restarted,"
+                " was its clock set, or are its stamps switched off?"
             )
         asked = np.array(sorted(set(self._asked))).reshape(-1, 2)
         return Turned(

@@ -169,31 +169,19 @@ def test_between_slices_it_is_dark_and_the_table_is_back_at_0() -> None:
         assert ended_s - begun_s == pytest.approx(way_s, abs=0.5)
 
 
-class Watched:
-    """The station's devices between the scan and themselves: what was done when, and how."""
-
-    def __init__(self, at: VirtualStation, at_s: float, act: Callable[[], None]) -> None:
-        self._room, self._at_s, self._act = at.room, at_s, act
-        self._step = at.room.step
-        at.room.step = self._watching  # type: ignore[method-assign]
-
-    def _watching(self, until_s: float) -> None:
-        self._step(until_s)
-        if self._room.now_s >= self._at_s:
-            self._at_s = math.inf
-            self._act()
-
-
 def first_lit(at: VirtualStation, act: Callable[[], None], after_s: float) -> None:
     """Do something so long after the laser was first lit."""
+    due_s = math.nan
 
-    def arm() -> None:
-        if at.devices.world.laser_on:
-            Watched(at, at.room.now_s + after_s, act)
-        else:
-            Watched(at, at.room.now_s + 0.01, arm)
+    def watch() -> None:
+        nonlocal due_s
+        if math.isnan(due_s) and at.devices.world.laser_on:
+            due_s = at.room.now_s + after_s
+        if at.room.now_s >= due_s:
+            due_s = math.inf
+            act()
 
-    Watched(at, at.room.now_s, arm)
+    at.room.watch = watch
 
 
 def stood_s(at: VirtualStation) -> list[tuple[float, str]]:
@@ -236,6 +224,36 @@ def test_a_profiler_that_falls_silent_ends_the_turn_dark_and_standing() -> None:
             take(at, plan())
         assert [what for _, what in stood_s(at)][:2] == ["laser", "stop"]
         assert at.devices.world.table.stands(at.room.now_s)
+
+
+def test_a_lease_that_lapses_in_a_turn_costs_the_turn_and_it_is_dark_before_the_table_stops() -> (
+    None
+):
+    with virtual_station(LAYOUT, vase()) as at:
+
+        def hang() -> None:
+            at.room.now_s += at.station.lease.ttl_s + 0.3
+
+        first_lit(at, hang, after_s=1.0)
+        (sweep,) = take(at, plan(profiles=2 * FAST))  # a turn outlasts the hang
+        assert [what for _, what in stood_s(at)][:2] == ["laser", "stop"]
+        # Both ways round, and the turn that was given up.
+        assert len(lit_spans(at)) == 3
+        assert math.degrees(angles_off(sweep, at)) < 0.01
+
+
+@pytest.mark.parametrize("started_s", [100.0, 5000.0])
+def test_a_sensor_whose_clock_is_set_in_a_turn_costs_the_turn(started_s: float) -> None:
+    with virtual_station(LAYOUT, vase()) as at:
+
+        def restart() -> None:
+            clock = replace(CLOCK, started_s=started_s)
+            at.devices.profiler._free_run._clock = clock  # type: ignore[union-attr]
+
+        first_lit(at, restart, after_s=1.0)
+        (sweep,) = take(at, plan())
+        assert len(lit_spans(at)) == 3
+        assert math.degrees(angles_off(sweep, at)) < 0.01
 
 
 def test_a_table_that_is_held_is_seen_by_what_the_part_shows_on_the_way_back() -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import random
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 
@@ -44,8 +44,7 @@ class Room:
 
     now_s: float = START_S
     links: list[VirtualLink | VirtualNetwork] = field(default_factory=list)
-    ticking: list[Device] = field(default_factory=list)
-    steps: int = 0
+    watch: Callable[[], object] = lambda: None  # called after each step
 
     def clock(self) -> float:
         return self.now_s
@@ -59,6 +58,7 @@ class Room:
         self.now_s = min(self.now_s + STEP_S, until_s)
         for link in self.links:
             link.tick(self.now_s)
+        self.watch()
 
 
 @dataclass
