@@ -35,6 +35,7 @@ from drivers.profiler import Profile
 Columns = Mapping[str, NDArray[Any]]
 
 _VERSION = 1
+_TURNED_VERSION = 2  # has the columns of `Timing`: without them it is not whole
 _HEAD = ("version", "index")
 _EACH_PROFILE = {
     "lengths": "<i4",
@@ -132,8 +133,11 @@ def decode_sweep(data: bytes) -> Sweep:
 
 def sweep_of(columns: Columns) -> Sweep:
     """Make a sweep of columns whose bytes are proven; raises as `decode_sweep`."""
-    if columns["version"].tolist() != _VERSION:
-        raise ValueError(f"version {columns['version'].tolist()}, this program knows {_VERSION}")
+    due = _TURNED_VERSION if "arrived_s" in columns else _VERSION
+    if columns["version"].tolist() != due:
+        raise ValueError(
+            f"version {columns['version'].tolist()}, this program knows {due} of such columns"
+        )
     _check_types(columns)
     _check_counts(columns)
     return Sweep(int(columns["index"]), _profiles(columns), _poses(columns), _timing(columns))
@@ -165,7 +169,7 @@ def _columns(sweep: Sweep) -> Columns:
     profiles, poses = sweep.profiles, sweep.poses
     counts = np.concatenate([np.empty((0, 2), np.int32), *(each.counts for each in profiles)])
     values: dict[str, Any] = {
-        "version": np.array(_VERSION, "<i8"),
+        "version": np.array(_VERSION if sweep.timing is None else _TURNED_VERSION, "<i8"),
         "index": np.array(sweep.index, "<i8"),
         "lengths": [len(each.reasons) for each in profiles],
         "intensity_lengths": [len(each.intensity) for each in profiles],
