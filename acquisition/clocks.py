@@ -35,7 +35,7 @@ class ClockLine:
     origin_sensor_s: float
     origin_s: float
     rate: float  # seconds of the station in one of the sensor
-    residual_s: float  # root mean square of what was heard first, from the line
+    late_s: float  # median of how late that was which was heard first in its moment
 
     def station_s(self, sensor_s: FloatArray) -> FloatArray:
         """Times (n,) of the sensor as times of the station."""
@@ -85,7 +85,7 @@ class SensorClock:
         off_s = late_s - (at_middle_s + slope * (stamp_s - middle_s))
         return ClockLine(
             middle_s, middle_s + float(at_middle_s), 1.0 + float(slope),
-            float(np.sqrt(np.mean(off_s**2))),
+            float(np.median(off_s)),
         )  # fmt: skip
 
 

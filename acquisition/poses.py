@@ -33,7 +33,7 @@ class Timing:
     latency_s: float  # taken off every time; nan: the part did not tell it, and none was
     latency_sd_s: float  # one standard deviation; inf where it was not told
     drift_ppm: float  # how fast the sensor's clock is
-    clock_rms_s: float  # of what was heard first, around the line that maps its clock
+    clock_late_s: float  # median of how late what was heard first was, after the line under all
     table_rms_rad: float  # of the positions read back, around the poses
     apart_mm: float  # rms between the two senses after correction, noise and all; nan: one sense
     noise_mm: float  # what noise alone makes of that; nan likewise

@@ -1,4 +1,4 @@
-"""A scan: rings, step and shoot, one sweep after the other; the laser on only while it exposes.
+"""A scan: rings, one sweep after the other; the laser on only while it exposes.
 
 One stop of the table::
 
@@ -7,6 +7,8 @@ One stop of the table::
     laser                    on ______________ off
     profiler                    discard, profile
     read back                                    pose
+
+A table that turns while it is measured is lit for the turn: `acquisition.turning`.
 
 Everything waits in steps of 50 ms at most, and looks for the operator's stop in each of them.
 Between slices nothing moves, the laser is off and the table is back at 0: there, and only there,

@@ -62,7 +62,7 @@ COLUMNS = tuple(_TYPES)
 _TIMES = ("arrived_s", "asked_s", "asked_rad")
 _TIMING = {
     **dict.fromkeys(
-        (*_TIMES, "speed_rad_s", "latency_s", "latency_sd_s", "drift_ppm", "clock_rms_s"), ("<f8",)
+        (*_TIMES, "speed_rad_s", "latency_s", "latency_sd_s", "drift_ppm", "clock_late_s"), ("<f8",)
     ),
     **dict.fromkeys(("table_rms_rad", "apart_mm", "noise_mm"), ("<f8",)),
     "lost": ("<i8",),

@@ -122,7 +122,7 @@ def timed_sweep(
         latency_s=keeper.latency_s,
         latency_sd_s=keeper.latency_sd_s,
         drift_ppm=line.drift_ppm,
-        clock_rms_s=line.residual_s,
+        clock_late_s=line.late_s,
         table_rms_rad=max(each.residual_rad for each in courses),
         apart_mm=shift.apart_mm,
         noise_mm=shift.noise_mm,
@@ -199,7 +199,7 @@ def in_words(timing: Timing) -> str:
             f" {timing.noise_mm:.4f}"
         )
     return (
-        f"{told}{apart}; clock {timing.drift_ppm:+.1f} ppm, within {1e3 * timing.clock_rms_s:.3f}"
-        f" ms; table within {math.degrees(timing.table_rms_rad):.4f} deg; {timing.lost} of"
+        f"{told}{apart}; clock {timing.drift_ppm:+.1f} ppm, heard"
+        f" {1e3 * timing.clock_late_s:.3f} ms late; table within {math.degrees(timing.table_rms_rad):.4f} deg; {timing.lost} of"
         f" {len(timing.arrived_s)} profiles lost"
     )

@@ -285,7 +285,7 @@ def _timing(timing: Timing) -> dict[str, object]:
         "latency_ms": 1e3 * timing.latency_s,
         "latency_sd_ms": 1e3 * timing.latency_sd_s,
         "drift_ppm": timing.drift_ppm,
-        "clock_rms_ms": 1e3 * timing.clock_rms_s,
+        "clock_late_ms": 1e3 * timing.clock_late_s,
         "table_rms_deg": math.degrees(timing.table_rms_rad),
         "apart_mm": timing.apart_mm,
         "noise_mm": timing.noise_mm,

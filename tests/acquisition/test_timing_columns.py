@@ -27,7 +27,7 @@ def turned(seed: int, profiles: int = 5, asked: int = 7) -> Sweep:
         latency_s=math.nan if seed % 2 else 0.002,
         latency_sd_s=math.inf if seed % 2 else 1e-5,
         drift_ppm=40.0,
-        clock_rms_s=1e-3,
+        clock_late_s=1e-3,
         table_rms_rad=1e-4,
         apart_mm=math.nan,
         noise_mm=0.03,
