@@ -43,7 +43,7 @@ from acquisition.safety.leading import arm, begin_homing, homed, known, resume
 from acquisition.safety.states import Event, State
 from acquisition.station import GrblTable, HomeMark, LeadshineStage, TableZero
 from acquisition.timing import Steadiness, Timekeeper, timed_sweep
-from acquisition.turning import Sense, Turned, Turner
+from acquisition.turning import Sense, StampsBroken, Turned, Turner
 from drivers.axis import Axis, AxisState, Motion
 from drivers.errors import FrameError, NoReply, Refused
 from drivers.profiler import Profile, Reason, Tally
@@ -316,7 +316,7 @@ class _Scan:
                 # Downward the gear drives the part by its other flank: it lags by the play.
                 play_rad = math.radians(settings.backlash_deg) if backward else 0.0
                 return replace(turned, table_rad=turned.table_rad + play_rad)
-            except (LeaseLapsed, FrameError):
+            except (LeaseLapsed, StampsBroken):
                 if not tries_left:
                     raise
         raise AssertionError  # the last try returned or raised

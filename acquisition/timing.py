@@ -200,6 +200,7 @@ def in_words(timing: Timing) -> str:
         )
     return (
         f"{told}{apart}; clock {timing.drift_ppm:+.1f} ppm, heard"
-        f" {1e3 * timing.clock_late_s:.3f} ms late; table within {math.degrees(timing.table_rms_rad):.4f} deg; {timing.lost} of"
+        f" {1e3 * timing.clock_late_s:.3f} ms late; table within"
+        f" {math.degrees(timing.table_rms_rad):.4f} deg; {timing.lost} of"
         f" {len(timing.arrived_s)} profiles lost"
     )

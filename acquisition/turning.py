@@ -34,6 +34,10 @@ _LONGEST_STEP_S = 1.0  # between stamps: longer silences end a turn before
 _AFTER_S = 0.02  # listened on after the table stands: what is under way arrives
 
 
+class StampsBroken(FrameError):  # noqa: N818 (the house names errors after the fact)
+    """The sensor's time did not go on from profile to profile; the table has turned as it should."""
+
+
 class Sense(Enum):
     """Which way round."""
 
@@ -150,8 +154,8 @@ class _Listening(Pause):
         ------
         NoReply
             Nothing came at all.
-        FrameError
-            The sensor's time did not go on from profile to profile: it was restarted, perhaps.
+        StampsBroken
+            It was restarted, perhaps, or its clock was set.
         """
         if len(self._profiles) < 2:
             raise NoReply("profiler: nothing came while the table turned; is the laser on?")
@@ -165,7 +169,7 @@ class _Listening(Pause):
             not 0.0 < b.sensor_time_s - a.sensor_time_s < _LONGEST_STEP_S
             for a, b in pairwise(profiles)
         ):
-            raise FrameError(
+            raise StampsBroken(
                 "profiler: its time stamps do not go on from profile to profile; was it restarted,"
                 " was its clock set, or are its stamps switched off?"
             )
