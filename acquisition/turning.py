@@ -35,7 +35,7 @@ _AFTER_S = 0.02  # listened on after the table stands: what is under way arrives
 
 
 class StampsBroken(FrameError):  # noqa: N818 (the house names errors after the fact)
-    """The sensor's time did not go on from profile to profile; the table has turned as it should."""
+    """The sensor's time did not go on from profile to profile; the table turned as it should."""
 
 
 class Sense(Enum):
