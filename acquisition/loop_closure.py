@@ -7,9 +7,10 @@ Profile by profile, in the sensor's plane at the kept pose::
       | o-d-o kept    median over a stretch: what moved;  spread around it: the sensor's noise
       +------- x
 
-The difference is the rms of the medians, beyond what noise alone makes of them; the worst 5 % of
-them are left out, so that a few at an edge do not decide. Twice the noise would be no
-difference to see in the surface; three times is refused.
+Of a table that turned, the profiles nearest to evenly spaced angles are moved there before. The
+difference is the rms of the medians, beyond what noise alone makes of them; the worst 5 % of them
+are left out, so that a few at an edge do not decide. Twice the noise would be no difference to see
+in the surface; three times is refused.
 """
 
 from __future__ import annotations
@@ -42,6 +43,8 @@ _KEPT_SHARE = 0.95  # of the stretches
 _WIDEST_GAP = 4.0  # kept points further apart than so many pitches bound no line
 _SLOPE_OVER = 3  # points to either side: the slope of two neighbours is their noise
 _MAD, _MEDIAN_SD = 1.4826, 1.2533  # of a normal distribution
+_PLACES = 180  # around the turn, at which two sweeps of a table that turned are compared
+_NEAR_RAD = math.radians(1.0)  # a profile from further away is not moved there
 _LOOKS = 24  # profiles that are tried against every turn
 
 
@@ -75,21 +78,26 @@ def comparable(sweep: Sweep) -> bool:
 
 def compare(kept: Sweep, again: Sweep, kinematics: Kinematics) -> Closure:
     """Compare two sweeps of the same slice, each at its own read-back poses."""
-    old = [profile.points_mm for profile in kept.profiles]
-    new = [
-        _moved(profile.points_mm, pose, before, kinematics)
-        for profile, pose, before in zip(again.profiles, again.poses, kept.poses, strict=False)
-    ]
+    if kept.timing is None:
+        poses, old = list(kept.poses), [profile.points_mm for profile in kept.profiles]
+        new = [
+            _moved(profile.points_mm, pose, before, kinematics)
+            for profile, pose, before in zip(again.profiles, again.poses, kept.poses, strict=False)
+        ]
+    else:
+        poses = [Pose(math.tau * k / _PLACES, kept.poses[0].stage_mm, 0.0) for k in range(_PLACES)]
+        old, new = (_seen_at(poses, sweep, kinematics) for sweep in (kept, again))
     apart = [_distances(one, other) for one, other in zip(old, new, strict=False)]
     seen = [max(len(one), len(other)) for one, other in zip(old, new, strict=False)]
     overlap = sum(len(each) for each in apart) / max(1, sum(seen))
-    quantum_mm = max((abs(each.scale_mm[1]) for each in kept.profiles), default=0.0)
+    counted = (each for each in kept.profiles if (each.reasons == Reason.MEASURED).any())
+    quantum_mm = max((abs(each.scale_mm[1]) for each in counted), default=0.0)
     difference_mm, noise_mm = _judged(apart)
     noise_mm = max(noise_mm, quantum_mm)
     found = Closure(kept.index, difference_mm, noise_mm, overlap)
     if found.agrees:
         return found
-    return Closure(kept.index, difference_mm, noise_mm, overlap, _turn(old, new, kept, found))
+    return Closure(kept.index, difference_mm, noise_mm, overlap, _turn(old, new, poses, found))
 
 
 def must_agree(closure: Closure) -> None:
@@ -140,6 +148,22 @@ def _moved(points_mm: FloatArray, pose: Pose, before: Pose, kinematics: Kinemati
     return onto_sheet(turned, np.full(count, before.stage_mm), kinematics)
 
 
+def _seen_at(poses: Sequence[Pose], sweep: Sweep, kinematics: Kinematics) -> list[FloatArray]:
+    """What a table that turned showed at these angles: the nearest profile, moved there."""
+    came = [k for k, each in enumerate(sweep.profiles) if (each.reasons != Reason.LOST).any()]
+    came.sort(key=lambda k: sweep.poses[k].table_rad)
+    angles = np.array([sweep.poses[k].table_rad for k in came])
+    seen = []
+    for wanted in poses:
+        near = [] if not came else [came[int(np.argmin(np.abs(angles - wanted.table_rad)))]]
+        near = [k for k in near if abs(sweep.poses[k].table_rad - wanted.table_rad) < _NEAR_RAD]
+        points = [
+            _moved(sweep.profiles[k].points_mm, sweep.poses[k], wanted, kinematics) for k in near
+        ]
+        seen.append(points[0] if points else np.empty((0, 2)))
+    return seen
+
+
 def _distances(old: FloatArray, new: FloatArray) -> FloatArray:
     """Distances of new points (n, 2) from the line through old ones, where it has no gap."""
     if len(old) < _ENOUGH_POINTS or not len(new):
@@ -179,10 +203,10 @@ def _judged(apart: Sequence[FloatArray]) -> tuple[float, float]:
 
 
 def _turn(
-    old: Sequence[FloatArray], new: Sequence[FloatArray], kept: Sweep, found: Closure
+    old: Sequence[FloatArray], new: Sequence[FloatArray], poses: Sequence[Pose], found: Closure
 ) -> float | None:
     """The turn, in whole stops, after which most of the difference is gone; None without one."""
-    angles = [pose.table_rad for pose in kept.poses]
+    angles = [pose.table_rad for pose in poses]
     steps = np.array([after - before for before, after in pairwise(angles)])
     if len(steps) < _ENOUGH_PROFILES or np.ptp(steps) > 0.1 * abs(float(np.mean(steps))):
         return None  # no even turn, stop by stop

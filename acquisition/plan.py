@@ -1,4 +1,4 @@
-"""What a scan is to do: rings, meridians or stripes, step and shoot; checked before anything moves.
+"""What a scan is to do: rings, meridians or stripes; checked before anything moves.
 
 Rings; the others are in `acquisition.patterns`::
 
@@ -7,6 +7,8 @@ Rings; the others are in `acquisition.patterns`::
        |   o o o o   each ring: profiles_per_turn stops from 0 on, the same angles in every ring
        |   o o o o
        +------------ table_rad   0, tau/n, 2 tau/n ... tau (n-1)/n; then back to 0
+
+Each ring is taken step and shoot, or while the table turns: `acquisition.continuous`.
 """
 
 from __future__ import annotations
@@ -17,6 +19,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from acquisition.continuous import (
+    Continuous,
+    check_continuous,
+    turning_seconds,
+    turns_measured,
+)
 from acquisition.patterns import (
     MOST_SLICES,
     Meridian,
@@ -51,7 +59,10 @@ class Ring:
     ]
     step_mm: Annotated[float, Key("from ring to ring", above=0.0)]
     profiles_per_turn: Annotated[
-        int, Key("stops of the table in each ring", at_least=3, at_most=1e6)
+        int,
+        Key(
+            "stops of the table in each ring; turning, what sets its speed", at_least=3, at_most=1e6
+        ),
     ]
 
     def __post_init__(self) -> None:
@@ -97,7 +108,8 @@ class Plan:
     ring: Annotated[Ring | None, Key("where: rings; or one of the next two")] = None
     meridian: Annotated[Meridian | None, Key("where: an upright sheet, and the table turns")] = None
     stripe: Annotated[Stripe | None, Key("where: the stage moves along, the table stands")] = None
-    step_and_shoot: Annotated[StepAndShoot, Key("how: stop, settle, measure")]
+    step_and_shoot: Annotated[StepAndShoot | None, Key("how: stop, settle, measure")] = None
+    continuous: Annotated[Continuous | None, Key("how: measure rings while the table turns")] = None
 
     def __post_init__(self) -> None:
         given = [kind.value for kind in SliceKind if getattr(self, kind.value) is not None]
@@ -105,6 +117,16 @@ class Plan:
             raise ValueError("ring is missing; add a [ring] table, or [meridian], or [stripe]")
         if len(given) > 1:
             raise ValueError(f"{given[1]}: stands beside [{given[0]}]; a plan has one of them")
+        if self.step_and_shoot is None and self.continuous is None:
+            raise ValueError(
+                "step_and_shoot is missing; add a [step_and_shoot] table, or a [continuous] one"
+            )
+        if self.step_and_shoot is not None and self.continuous is not None:
+            raise ValueError("continuous: there is [step_and_shoot], too; remove one of them")
+        if self.continuous is not None and self.ring is None:
+            raise ValueError(
+                f"continuous: turns for [ring] only, not for [{given[0]}]; use [step_and_shoot]"
+            )
 
     @property
     def kind(self) -> SliceKind:
@@ -129,7 +151,7 @@ class Target:
 
     index: int
     stage_mm: float
-    table_rad: tuple[float, ...]
+    table_rad: tuple[float, ...]  # of a table that turns steadily: where its profiles are due
     more_mm: tuple[float, ...] = ()  # further places of the stage, upward
 
     @property
@@ -208,6 +230,9 @@ def check_plan(plan: Plan, station: Station, name: str = "plan.toml") -> None:
             f"{name}: {kind}.last_mm: the last {kind}, at {reach.highest_mm:g}, is above the"
             f" stage's soft limit highest_mm {stage.highest_mm}; lower it"
         )
+    if plan.continuous is not None:
+        check_continuous(plan.continuous, plan.pattern.stops, station, name)
+        return
     if table.lowest_deg > reach.lowest_deg or table.highest_deg < reach.highest_deg:
         raise ValueError(
             f"{name}: {kind}: a turn from {reach.lowest_deg:g} to {reach.highest_deg:g} deg leaves"
@@ -225,11 +250,18 @@ def check_plan(plan: Plan, station: Station, name: str = "plan.toml") -> None:
 def estimate(plan: Plan, station: Station) -> Estimate:
     """Tell how long a plan takes at least and how many bytes it keeps at most."""
     slices, reach = plan.count, plan.pattern.reach
-    stops = slices * plan.pattern.stops
-    profiles = stops * plan.step_and_shoot.profiles_per_stop
-    turning_s = reach.turned_deg / station.table.speed_deg_s
+    stops = plan.pattern.stops
     lifting_s = reach.lifted_mm / station.stage.speed_mm_s
-    standing_s = stops * plan.step_and_shoot.settle_s + profiles / station.profiler.rate_hz
+    if plan.step_and_shoot is not None:
+        profiles = slices * stops * plan.step_and_shoot.profiles_per_stop
+        turning_s = reach.turned_deg / station.table.speed_deg_s
+        standing_s = slices * stops * plan.step_and_shoot.settle_s
+        standing_s += profiles / station.profiler.rate_hz
+    else:
+        assert plan.continuous is not None  # a plan has one of them
+        profiles = turns_measured(plan.continuous, slices) * stops
+        turning_s = turning_seconds(plan.continuous, slices, stops, station)
+        standing_s = 0.0
     points = profiles * station.profiler.points_per_profile
     kept = points * _BYTES_A_POINT + profiles * _BYTES_A_PROFILE + slices * _BYTES_A_SLICE
     return Estimate(slices, profiles, turning_s + lifting_s + standing_s, kept)

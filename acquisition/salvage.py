@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from io import BytesIO
 
 from acquisition.poses import Sweep
-from acquisition.sweep_codec import BROKEN, COLUMNS, column_of, sweep_of
+from acquisition.sweep_codec import BROKEN, COLUMNS, TIMING_COLUMNS, column_of, sweep_of
 
 _LOCAL = struct.Struct("<4s5H3L2H")
 _LOCAL_SIGNATURE = b"PK\x03\x04"
@@ -29,10 +29,12 @@ def salvaged(data: bytes) -> Sweep | None:
     """The sweep of a damaged slice file; None when a column is not proven."""
     found = dict(_by_directory(data))
     found.update(_by_walking(data))
-    if set(found) != set(COLUMNS):
+    turned = set(found) > set(COLUMNS)
+    names = (*COLUMNS, *TIMING_COLUMNS) if turned else COLUMNS
+    if set(found) != set(names):
         return None
     try:
-        return sweep_of({name: column_of(found[name]) for name in COLUMNS})
+        return sweep_of({name: column_of(found[name]) for name in names})
     except (*BROKEN, ValueError):
         return None
 
@@ -40,7 +42,7 @@ def salvaged(data: bytes) -> Sweep | None:
 def _by_walking(data: bytes) -> Iterator[tuple[str, bytes]]:
     """Columns as the headers before them tell, from the start until one makes no sense."""
     place = 0
-    for name in COLUMNS:
+    for name in (*COLUMNS, *TIMING_COLUMNS):
         if len(data) < place + _LOCAL.size:
             return
         signature, _, _, _, _, _, crc, _, size, name_length, extra = _LOCAL.unpack_from(data, place)
@@ -64,5 +66,5 @@ def _by_directory(data: bytes) -> Iterator[tuple[str, bytes]]:
         name = member.filename.removesuffix(".npy")
         start = member.header_offset + _LOCAL.size + len(member.filename)
         column = data[start : start + member.file_size]
-        if name in COLUMNS and column and zlib.crc32(column) == member.CRC:
+        if name in (*COLUMNS, *TIMING_COLUMNS) and column and zlib.crc32(column) == member.CRC:
             yield name, column

@@ -1,4 +1,4 @@
-"""A scan: slices, step and shoot, one sweep after the other; the laser on only while it exposes.
+"""A scan: slices, one sweep after the other; the laser on only while it exposes.
 
 One stop of the table::
 
@@ -7,6 +7,8 @@ One stop of the table::
     laser                    on ______________ off
     profiler                    discard, profile
     read back                                    pose
+
+A table that turns while it is measured is lit for the turn: `acquisition.turning`.
 
 Everything waits in steps of 50 ms at most, and looks for the operator's stop in each of them.
 Between slices nothing moves and the laser is off (and the table is back at 0 from a ring): there,
@@ -23,22 +25,26 @@ against those kept.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Generator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
 
+from acquisition.continuous import Continuous, WayBack, speed_deg_s
 from acquisition.errors import LeaseLapsed, Stopped, ZeroLost
 from acquisition.lease import LONGEST_WAIT_S, lasing, pausing
 from acquisition.opening import OpenStation, at_rest_unless_done
 from acquisition.patterns import SliceKind
-from acquisition.plan import Plan, Target, check_plan, target
+from acquisition.plan import Plan, StepAndShoot, Target, check_plan, target
 from acquisition.poses import Pose, Sweep
 from acquisition.profilers import lost_profile, patience_s
 from acquisition.safety.leading import arm, begin_homing, homed, known, resume
 from acquisition.safety.states import Event, State
 from acquisition.station import GrblTable, HomeMark, LeadshineStage, TableZero
+from acquisition.timing import Steadiness, Timekeeper, timed_sweep
+from acquisition.turning import Sense, StampsBroken, Turned, Turner
 from drivers.axis import Axis, AxisState, Motion
 from drivers.errors import FrameError, NoReply, Refused
 from drivers.profiler import Profile, Reason, Tally
@@ -172,6 +178,7 @@ class _Scan:
         self._lease = station.lease
         self._pause = pausing(self._lease, self._look, station.sleep)
         self._patience_s = patience_s(station.settings.profiler)
+        self._keeper = Timekeeper()
         self._lost_profiles = 0
         self._lost_in_a_row = 0
 
@@ -265,6 +272,62 @@ class _Scan:
             self._pause(LONGEST_WAIT_S)
 
     def _sweep(self, target: Target, done: int, slices: int) -> Sweep:
+        if self._plan.continuous is not None:
+            self._lift_to(target.stage_mm)
+            return self._turned_sweep(self._plan.continuous, target, done, slices)
+        return self._stopped_sweep(target, done, slices)
+
+    def _turned_sweep(self, plan: Continuous, target: Target, done: int, slices: int) -> Sweep:
+        """Turn once, and back; the way back is measured, too, where it is wanted."""
+        settings, count = self._station.settings, len(target.table_rad)
+
+        def heard(profiles: int) -> None:
+            self._tell(target, done, slices, min(profiles, count), count)
+
+        speed = math.radians(speed_deg_s(count, settings.profiler.rate_hz))
+        both = plan.way_back is WayBack.MEASURED or self._keeper.must_learn(speed)
+        turner = Turner(self._station, self._look, self._patience_s, heard)
+        turns = [self._turned(turner, plan, speed, Sense.FORWARD)]
+        if both:
+            turns.append(self._turned(turner, plan, speed, Sense.BACKWARD))
+        pose = self._pose()
+        self._station.table.move_to(0.0, self._pause)
+        steady = Steadiness(
+            speed, math.radians(plan.run_in_deg), math.radians(settings.table.tolerance_deg)
+        )
+        nothing = lost_profile(settings.profiler)
+        sweep = timed_sweep(target.index, turns, pose.stage_mm, steady, self._keeper, nothing)
+        self._lost_profiles += 0 if sweep.timing is None else sweep.timing.lost
+        self._tell(target, done, slices, count, count)
+        return sweep
+
+    def _turned(self, turner: Turner, plan: Continuous, speed_rad_s: float, sense: Sense) -> Turned:
+        """One turn, from where it begins; begun again where the lease lapsed in it."""
+        low_rad, high_rad = -math.radians(plan.run_in_deg), math.radians(360.0 + plan.run_in_deg)
+        backward = sense is Sense.BACKWARD
+        begin_rad, end_rad = (high_rad, low_rad) if backward else (low_rad, high_rad)
+        table, settings = self._station.table, self._station.settings.table
+        tolerance_rad = math.radians(settings.tolerance_deg)
+        for tries_left in reversed(range(_TRIES)):
+            if abs(table.state().position - begin_rad) > tolerance_rad:
+                table.move_to(begin_rad, self._pause)
+            try:
+                turned = turner.turn(end_rad, speed_rad_s)
+                # Downward the gear drives the part by its other flank: it lags by the play.
+                play_rad = math.radians(settings.backlash_deg) if backward else 0.0
+                return replace(turned, table_rad=turned.table_rad + play_rad)
+            except (LeaseLapsed, StampsBroken):
+                if not tries_left:
+                    raise
+        raise AssertionError  # the last try returned or raised
+
+    def _tell(self, target: Target, done: int, slices: int, number: int, stops: int) -> None:
+        if done >= 0:
+            lost, tally = self._lost_profiles, self._station.profiler.tally()
+            self._progress(Progress(target.index, done, slices, number, stops, lost, tally))
+
+    def _stopped_sweep(self, target: Target, done: int, slices: int) -> Sweep:
+        how = self._plan.step_and_shoot or StepAndShoot()
         profiles: list[Profile] = []
         poses: list[Pose] = []
         stops = target.stops
@@ -274,14 +337,11 @@ class _Scan:
                 self._lift_to(stage_mm)
                 lifted_mm = stage_mm
             self._station.table.move_to(table_rad, self._pause)
-            self._pause(self._plan.step_and_shoot.settle_s)
-            for _ in range(self._plan.step_and_shoot.profiles_per_stop):
+            self._pause(how.settle_s)
+            for _ in range(how.profiles_per_stop):
                 profiles.append(self._profile())
                 poses.append(self._pose())
-            lost, tally = self._lost_profiles, self._station.profiler.tally()
-            if done >= 0:
-                told = Progress(target.index, done, slices, number, len(stops), lost, tally)
-                self._progress(told)
+            self._tell(target, done, slices, number, len(stops))
         if self._plan.kind is SliceKind.RING or (
             self._plan.kind is SliceKind.MERIDIAN and done == slices - 1
         ):

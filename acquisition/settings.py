@@ -174,10 +174,11 @@ def _lines(settings: object, path: str) -> Iterator[str]:
     if selector(kind):
         yield f"{selector(kind)} = {_quoted(getattr(settings, selector(kind)))}"
     values = {one.name: getattr(settings, one.name) for one in fields(settings)}  # type: ignore[arg-type]
+    absent = [
+        name for name, value in values.items() if value is None and rivals(_declared(kind, name)[0])
+    ]
     for name, value in values.items():
-        if value is None and rivals(_declared(kind, name)[0]):
-            yield f"# [{_joined(path, name)}]  # {_declared(kind, name)[1].meaning}"
-        elif not rivals(type(value)):
+        if not rivals(type(value)) and name not in absent:
             text = f"# {name} =" if value is None else f"{name} = {_toml(_plain(value))}"
             yield f"{text}  # {_declared(kind, name)[1].meaning}"
     for name, value in values.items():
@@ -185,6 +186,8 @@ def _lines(settings: object, path: str) -> Iterator[str]:
             meaning = _declared(kind, name)[1].meaning
             yield from ("", f"# {meaning}", f"[{_joined(path, name)}]")
             yield from _lines(value, _joined(path, name))
+    for name in absent:
+        yield from ("", f"# {_declared(kind, name)[1].meaning}", f"# [{_joined(path, name)}]")
 
 
 def _toml(value: object) -> str:

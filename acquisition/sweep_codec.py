@@ -6,6 +6,8 @@ else uint16 or int32, with the length of each profile beside them::
     profile   0        1     2             lengths       [4, 2, 5]
     x         x x x x  x x   x x x x x     x, z, reasons (sum of lengths,)
 
+A slice of a table that turned has the columns of `acquisition.poses.Timing` after them.
+
 Nothing is pickled, nothing compressed; the same sweep gives the same bytes (the zip's dates are
 fixed). The zip's CRC covers every column, its comment is the SHA-256 of all bytes before it, and
 counts are checked against each other: what decodes is what was written. Files of before there was
@@ -27,12 +29,13 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from acquisition.poses import Pose, Sweep
+from acquisition.poses import Pose, Sweep, Timing
 from drivers.profiler import Profile
 
 Columns = Mapping[str, NDArray[Any]]
 
 _VERSION = 1
+_TURNED_VERSION = 2  # has the columns of `Timing`: without them it is not whole
 _HEAD = ("version", "index")
 _EACH_PROFILE = {
     "lengths": "<i4",
@@ -55,6 +58,16 @@ _TYPES = {
     "intensity": ("<u2",),
 }
 COLUMNS = tuple(_TYPES)
+# Of a table that turned, after those: names and types of `Timing`.
+_TIMES = ("arrived_s", "asked_s", "asked_rad")
+_TIMING = {
+    **dict.fromkeys(
+        (*_TIMES, "speed_rad_s", "latency_s", "latency_sd_s", "drift_ppm", "clock_late_s"), ("<f8",)
+    ),
+    **dict.fromkeys(("table_rms_rad", "apart_mm", "noise_mm"), ("<f8",)),
+    "lost": ("<i8",),
+}
+TIMING_COLUMNS = tuple(_TIMING)
 _CHECKSUM = b"sha256:"  # and 64 hexadecimal digits: the zip's comment, the last bytes of the file
 _CHECKSUM_BYTES = len(_CHECKSUM) + 64
 # The archive by hand, in one piece: `zipfile` copies all four times and takes twice as long.
@@ -89,7 +102,7 @@ def encode_sweep(sweep: Sweep) -> bytes:
         directory += [_CENTRAL.pack(b"PK\x01\x02", _MADE_BY, *told, 0, 0, 0, _MODE, place), file]
         place += _LOCAL.size + len(file) + size
     length = sum(len(each) for each in directory)
-    count = len(COLUMNS)
+    count = len(directory) // 2
     end = _END.pack(_DIRECTORY_END, 0, 0, count, count, length, place, _CHECKSUM_BYTES)
     return b"".join([*parts, *directory, end, _checksum(*parts, *directory, end)])
 
@@ -120,11 +133,14 @@ def decode_sweep(data: bytes) -> Sweep:
 
 def sweep_of(columns: Columns) -> Sweep:
     """Make a sweep of columns whose bytes are proven; raises as `decode_sweep`."""
-    if columns["version"].tolist() != _VERSION:
-        raise ValueError(f"version {columns['version'].tolist()}, this program knows {_VERSION}")
+    due = _TURNED_VERSION if "arrived_s" in columns else _VERSION
+    if columns["version"].tolist() != due:
+        raise ValueError(
+            f"version {columns['version'].tolist()}, this program knows {due} of such columns"
+        )
     _check_types(columns)
     _check_counts(columns)
-    return Sweep(int(columns["index"]), _profiles(columns), _poses(columns))
+    return Sweep(int(columns["index"]), _profiles(columns), _poses(columns), _timing(columns))
 
 
 @lru_cache(maxsize=256)
@@ -153,7 +169,7 @@ def _columns(sweep: Sweep) -> Columns:
     profiles, poses = sweep.profiles, sweep.poses
     counts = np.concatenate([np.empty((0, 2), np.int32), *(each.counts for each in profiles)])
     values: dict[str, Any] = {
-        "version": np.array(_VERSION, "<i8"),
+        "version": np.array(_VERSION if sweep.timing is None else _TURNED_VERSION, "<i8"),
         "index": np.array(sweep.index, "<i8"),
         "lengths": [len(each.reasons) for each in profiles],
         "intensity_lengths": [len(each.intensity) for each in profiles],
@@ -174,7 +190,13 @@ def _columns(sweep: Sweep) -> Columns:
         for name in _EACH_AXIS
     }
     together = values | typed | pairs
-    return {name: together[name] for name in COLUMNS}
+    return {name: together[name] for name in COLUMNS} | dict(_timing_columns(sweep.timing))
+
+
+def _timing_columns(timing: Timing | None) -> Columns:
+    if timing is None:
+        return {}
+    return {name: np.array(getattr(timing, name), _TIMING[name][0]) for name in TIMING_COLUMNS}
 
 
 def _narrowed(counts: NDArray[np.int32]) -> NDArray[Any]:
@@ -186,14 +208,14 @@ def _narrowed(counts: NDArray[np.int32]) -> NDArray[Any]:
 def _unpacked(data: bytes) -> Columns:
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         members = archive.infolist()
-        wanted = [f"{name}.npy" for name in COLUMNS]
-        if [each.filename for each in members] != wanted:
+        names = [each.filename.removesuffix(".npy") for each in members]
+        if names not in ([*COLUMNS], [*COLUMNS, *TIMING_COLUMNS]):
             raise ValueError("the columns are not those of a slice")
         if any(each.compress_type != zipfile.ZIP_STORED or each.flag_bits & 1 for each in members):
             raise ValueError("damaged archive: a column is compressed or encrypted")
         if any(each.file_size > len(data) for each in members):
             raise ValueError("damaged archive: a column is longer than the file")
-        return {name: column_of(archive.read(f"{name}.npy")) for name in COLUMNS}
+        return {name: column_of(archive.read(f"{name}.npy")) for name in names}
 
 
 def column_of(data: bytes) -> NDArray[Any]:
@@ -206,7 +228,8 @@ def column_of(data: bytes) -> NDArray[Any]:
 
 
 def _check_types(columns: Columns) -> None:
-    for name, allowed in _TYPES.items():
+    for name in columns:
+        allowed = (_TYPES | _TIMING)[name]
         if columns[name].dtype not in [np.dtype(each) for each in allowed]:
             raise ValueError(f"column {name} is of {columns[name].dtype}, not {allowed[0]}")
 
@@ -221,6 +244,10 @@ def _check_counts(columns: Columns) -> None:
         **dict.fromkeys(("x", "z", "reasons"), (points,)),
         "intensity": (bright,),
     }
+    if "arrived_s" in columns:
+        promised |= dict.fromkeys(TIMING_COLUMNS, ())
+        asked = columns["asked_s"].size
+        promised |= {"arrived_s": (profiles,), "asked_s": (asked,), "asked_rad": (asked,)}
     for name, shape in promised.items():
         if columns[name].shape != shape:
             raise ValueError(f"column {name} is {columns[name].shape}, the others promise {shape}")
@@ -254,3 +281,11 @@ def _profiles(columns: Columns) -> tuple[Profile, ...]:
 def _poses(columns: Columns) -> tuple[Pose, ...]:
     table_rad, stage_mm, time_s = (columns[n].tolist() for n in ("table_rad", "stage_mm", "time_s"))
     return tuple(map(Pose, table_rad, stage_mm, time_s))
+
+
+def _timing(columns: Columns) -> Timing | None:
+    if "arrived_s" not in columns:
+        return None
+    told: dict[str, Any] = {name: columns[name] for name in _TIMES}
+    told |= {name: columns[name].item() for name in TIMING_COLUMNS if name not in _TIMES}
+    return Timing(**told)

@@ -59,9 +59,10 @@ def plan_in_words(plan: Plan) -> str:
     """A plan on one line."""
     match plan.pattern:
         case Ring() as rings:
+            how = "stops" if plan.continuous is None else "profiles a turn, turning"
             return (
                 f"{rings.count} rings from {rings.first_mm:g} mm by {rings.step_mm:g} mm,"
-                f" {rings.profiles_per_turn} stops"
+                f" {rings.profiles_per_turn} {how}"
             )
         case Meridian() as meridians:
             return (

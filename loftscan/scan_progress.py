@@ -21,9 +21,10 @@ import numpy as np
 from acquisition.frames import Kinematics
 from acquisition.loop_closure import Closure, in_words
 from acquisition.patterns import SliceKind
-from acquisition.poses import Sweep
+from acquisition.poses import Sweep, Timing
 from acquisition.safety.promises import promise_of_guard
 from acquisition.scan import Progress, StopRequest, Wish
+from acquisition.timing import in_words as in_words_timing
 from drivers.laser import Guarantee
 from drivers.profiler import Reason, Tally
 from loftscan.coverage import sweep_coverage
@@ -84,11 +85,13 @@ class ScanTeller:
         self._torn_profiles = 0  # kept, with points that were lost on the wire
         self._lost_points = 0
         self._line = ""
+        self._turned = False  # the table turns while it is measured
 
     def estimate(self, here: Prospect) -> None:
         """Say what the run will cost, before anything is opened."""
         cost = here.cost
         self._kind = here.plan.kind
+        self._turned = here.plan.continuous is not None
         if self._manner is Manner.JSON:
             self._say(
                 event="estimate", slices=cost.slices, kept=len(here.kept), profiles=cost.profiles,
@@ -123,9 +126,10 @@ class ScanTeller:
         self._last = progress
         if self._manner is Manner.LIVE:
             done = progress.slices_done + progress.stops_done / progress.stops
+            what = "profile" if self._turned else "stop"
             self._rewrite(
                 f"slice {progress.slices_done + 1} of {progress.slices},"
-                f" stop {progress.stops_done} of {progress.stops}"
+                f" {what} {progress.stops_done} of {progress.stops}"
                 + self._how(Pace(self._clock() - self._begun_s, done, progress.slices))
             )
 
@@ -157,9 +161,13 @@ class ScanTeller:
                 profiles=len(sweep.profiles), lost_profiles=last.lost_profiles,
                 coverage=round(self._coverage, 4), seconds=round(pace.seconds, 3),
                 slices_per_min=round(pace.slices_per_min, 2), left_s=round(pace.left_s or 0.0, 1),
+                **({} if sweep.timing is None else {"timing": _timing(sweep.timing)}),
             )  # fmt: skip
-        elif self._manner is Manner.LINES:
+            return
+        if self._manner is Manner.LINES:
             self._print(f"slice {done} of {last.slices}{self._how(pace)}")
+        if sweep.timing is not None:
+            self._print(f"slice {sweep.index}: {in_words_timing(sweep.timing)}")
 
     def done(self, here: Prospect) -> None:
         """Tell that the scan is complete."""
@@ -220,9 +228,14 @@ class ScanTeller:
         frames = self._frames()
         if self._manner is not Manner.JSON and any(frames.values()):
             dropped, torn, bad = frames.values()
+            then = (
+                "those of a slice have their places in it, marked as lost"
+                if self._turned
+                else "exposures were repeated for those that were wanted"
+            )
             self._print(
                 f"profiler: {dropped} frames dropped, {torn} torn, {bad} damaged on their way;"
-                " exposures were repeated for those that were wanted"
+                f" {then}"
             )
 
     def _warn_of_lost(self) -> None:
@@ -266,6 +279,24 @@ class ScanTeller:
             self._stop.leave()
             with Path(os.devnull).open("wb") as nowhere:  # what is still buffered goes there
                 os.dup2(nowhere.fileno(), self._stream.fileno())
+
+
+def _timing(timing: Timing) -> dict[str, object]:
+    """What a turning table's poses can be off, as JSON knows numbers."""
+    told = {
+        "speed_deg_s": math.degrees(timing.speed_rad_s),
+        "latency_ms": 1e3 * timing.latency_s,
+        "latency_sd_ms": 1e3 * timing.latency_sd_s,
+        "drift_ppm": timing.drift_ppm,
+        "clock_late_ms": 1e3 * timing.clock_late_s,
+        "table_rms_deg": math.degrees(timing.table_rms_rad),
+        "apart_mm": timing.apart_mm,
+        "noise_mm": timing.noise_mm,
+    }
+    finite: dict[str, object] = {
+        name: value if math.isfinite(value) else None for name, value in told.items()
+    }
+    return {**finite, "lost_profiles": timing.lost}
 
 
 def in_time(seconds: float) -> str:

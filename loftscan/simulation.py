@@ -88,6 +88,9 @@ def simulate(
     faults: str | Sequence[str] = (),
     laser: str | None = None,
     crooked: bool = False,
+    rate_hz: float | None = None,
+    sensor_latency_ms: float | None = None,
+    continuous: bool = False,
     out: str | os.PathLike[str] | None = None,
 ) -> Iterator[Simulated]:
     """Serve a simulated station while the block lasts.
@@ -115,6 +118,10 @@ def simulate(
     crooked
         It stands otherwise than its station.toml says (axis tilted and aside, table scale 3 % off,
         sheet yawed), so that it must be calibrated.
+    rate_hz, sensor_latency_ms
+        Of a profiler that streams: profiles a second; how late its time stamps are.
+    continuous
+        Its plan turns the table steadily; `stops` are then the profiles of a turn.
     out
         Where its files go; by default a folder that goes with the block.
 
@@ -129,10 +136,12 @@ def simulate(
         "--outliers": outliers, "--rings": rings, "--stops": stops, "--faults": planted or None,
         "--table": table, "--stage": stage, "--profiler": profiler,
         "--laser": laser, "--cut": cut,
+        "--rate-hz": rate_hz, "--sensor-latency-ms": sensor_latency_ms,
     }  # fmt: skip
     chosen = [each for name, value in options.items() if value is not None
               for each in (name, str(value))]  # fmt: skip
     chosen += ["--crooked"] if crooked else []
+    chosen += ["--continuous"] if continuous else []
     with tempfile.TemporaryDirectory(prefix="loftscan-sim-") as own:
         said = Path(own) / "said.txt"
         with said.open("wb") as errors:

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
+import random
 import signal
 import sys
 import time
@@ -30,7 +32,9 @@ from sim.parts import PARTS, find_part
 from sim.port_names import vanishing
 from sim.profilers import ProfilerFamily
 from sim.relay import Contact
+from sim.sensor_clock import SensorClock
 from sim.serving import Ending, Server
+from sim.solids import Part
 from sim.stations import (
     PLAN_RINGS,
     PLAN_STOPS,
@@ -41,10 +45,12 @@ from sim.stations import (
     plan_toml,
     station_toml,
     truth_ply,
+    turning_plan_toml,
 )
 from sim.witness import WitnessLog
 
 _DONE, _FAILED, _BAD_USAGE = 0, 1, 2
+_TURNING_DEG_S = 60.0  # of a plan with --continuous
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +98,8 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
         laser=_laser_of(wanted),
         cut=Cut(wanted.cut),
         mounting=mounting_for(Cut(wanted.cut), part),
+        rate_hz=wanted.rate_hz,
+        sensor_clock=_sensor_clock(wanted),
         crooked=Crookedness() if wanted.crooked else None,
     )
     files = _files(wanted, folder)
@@ -102,7 +110,7 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
         with Server(lively=devices.lively) as server:
             addresses = connect(devices, layout, cabling, server, folder)
             files.truth.write_bytes(truth_ply(part))
-            plan = plan_toml(layout, part, rings=wanted.rings, stops=wanted.stops)
+            plan = _plan(wanted, layout, part)
             files.plan.write_text(plan, encoding="utf-8")
             files.station.write_text(station_toml(layout, addresses, part.name), encoding="utf-8")
             if part.name in CERTIFICATES:
@@ -112,6 +120,22 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
                 _end_with_stdin(server, ending, devices, cabling)
             _tell(files, as_json=wanted.json)
             server.run(ending)
+
+
+def _plan(wanted: argparse.Namespace, layout: Layout, part: Part) -> str:
+    if not wanted.continuous:
+        return plan_toml(layout, part, rings=wanted.rings, stops=wanted.stops or PLAN_STOPS)
+    turn = wanted.stops or math.ceil(360.0 * layout.rate_hz / _TURNING_DEG_S)
+    return turning_plan_toml(layout, part, rings=wanted.rings, profiles_per_turn=turn)
+
+
+def _sensor_clock(wanted: argparse.Namespace) -> SensorClock | None:
+    """A clock of the sensor's own, where anybody asked for one or for more than it usually does."""
+    latency_ms, drift_ppm = wanted.sensor_latency_ms, wanted.sensor_drift_ppm
+    if not (latency_ms or drift_ppm or wanted.continuous) and wanted.rate_hz <= Layout().rate_hz:
+        return None
+    started_s = random.Random(f"{wanted.seed} clock").uniform(10.0, 1e5)
+    return SensorClock(latency_s=latency_ms / 1e3, drift_ppm=drift_ppm, started_s=started_s)
 
 
 def _laser_of(wanted: argparse.Namespace) -> LaserWiring:
@@ -205,8 +229,12 @@ def _parser() -> argparse.ArgumentParser:
     option("--profiler", choices=profilers, default=default, help="family of what measures")
     cuts = [each.value for each in Cut]
     option("--cut", choices=cuts, default=normal.cut.value, help="what the station's slices are")
+    option("--rate-hz", type=float, default=normal.rate_hz, help="of a profiler that streams")
+    option("--sensor-latency-ms", type=float, default=0.0, help="from the light to its time stamp")
+    option("--sensor-drift-ppm", type=float, default=0.0, help="how fast its clock is")
     option("--rings", type=_count_from(1), default=PLAN_RINGS, help="slices of plan.toml")
-    option("--stops", type=_count_from(3), default=PLAN_STOPS, help="of the table, in each ring")
+    option("--stops", type=_count_from(3), help="of the table, in each ring")
+    option("--continuous", action="store_true", help="plan.toml turns the table steadily")
     option("--faults", default="", metavar="NAME,NAME=N", help="what is wrong; --list names all")
     wirings = [each.value for each in LaserWiring]
     option("--laser", choices=wirings, help="what switches it; absent: turck, a hokuyo its own")

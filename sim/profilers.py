@@ -55,14 +55,14 @@ SimProfiler = OxSensor | RfSensor | RegisterSensor | HokuyoScanner | SickProfile
 def build_profiler(layout: Layout, world: World) -> SimProfiler:
     """The device that measures."""
     if layout.profiler_family is ProfilerFamily.RIFTEK:
-        return RfSensor(world, RfSettings(rate_hz=layout.rate_hz))
+        return RfSensor(world, RfSettings(rate_hz=layout.rate_hz, clock=layout.sensor_clock))
     if layout.profiler_family is ProfilerFamily.REGISTERS:
         return RegisterSensor(world, RegisterSettings(rate_hz=layout.rate_hz))
     if layout.profiler_family is ProfilerFamily.HOKUYO:
         return HokuyoScanner(world, ScannerSettings())
     if layout.profiler_family is ProfilerFamily.SICK:
         return SickProfiler(world, ProfilerSettings(points=layout.sensor.points))
-    return OxSensor(world, OxSettings(rate_hz=layout.rate_hz))
+    return OxSensor(world, OxSettings(rate_hz=layout.rate_hz, clock=layout.sensor_clock))
 
 
 def connect_profiler(

@@ -49,6 +49,7 @@ from sim.profilers import (
 )
 from sim.relay import RelayBlock
 from sim.sensor import Flaws, Mounting, Sensor
+from sim.sensor_clock import SensorClock
 from sim.serving import Server
 from sim.solids import Part
 from sim.wires import Pty, TcpListener
@@ -79,6 +80,7 @@ class Layout:
     mounting: Mounting = field(default_factory=lambda: Mounting(height_mm=-3.0))
     sensor: Sensor = field(default_factory=lambda: Sensor(points=640))
     rate_hz: float = 100.0
+    sensor_clock: SensorClock | None = None  # None: it measures when it is looked at
     table_family: TableFamily = TableFamily.GRBL
     stage_family: StageFamily = StageFamily.LEADSHINE
     profiler_family: ProfilerFamily = ProfilerFamily.BAUMER_OX
@@ -264,10 +266,19 @@ def plan_toml(
     """Write a plan.toml whose slices lie equidistant over the part: rings from foot to top."""
     if layout.cut is Cut.MERIDIANS:
         pattern = meridian_toml(layout.mounting, layout.sensor, part, rings)
-        return _OTHER_PLAN.format(cut="Meridians", part=part.name, pattern=pattern)
+        return _OTHER_PLAN.format(cut="Meridians", part=part.name, pattern=pattern) + _STOPPING
     if layout.cut is Cut.STRIPES:
         pattern = stripe_toml(layout.mounting, part, rings)
-        return _OTHER_PLAN.format(cut="Stripes", part=part.name, pattern=pattern)
+        return _OTHER_PLAN.format(cut="Stripes", part=part.name, pattern=pattern) + _STOPPING
+    return _rings_toml(layout, part, rings, stops) + _STOPPING
+
+
+def turning_plan_toml(layout: Layout, part: Part, *, rings: int, profiles_per_turn: int) -> str:
+    """Write the same for a table that turns while it is measured."""
+    return _rings_toml(layout, part, rings, profiles_per_turn) + _TURNING
+
+
+def _rings_toml(layout: Layout, part: Part, rings: int, stops: int) -> str:
     height_mm = float(part.vertices_mm[:, 2].max())
     step_mm = height_mm / rings
     ends_mm = [
@@ -386,6 +397,9 @@ last_mm = {last_mm}
 step_mm = {step_mm}
 profiles_per_turn = {stops}
 
+"""
+
+_STOPPING = """\
 [step_and_shoot]
 settle_s = 0.0  # the simulated axes do not swing after they have stopped
 profiles_per_stop = 1
@@ -396,7 +410,10 @@ _OTHER_PLAN = """\
 
 {pattern}
 
-[step_and_shoot]
-settle_s = 0.0  # the simulated axes do not swing after they have stopped
-profiles_per_stop = 1
+"""
+
+_TURNING = """\
+[continuous]
+run_in_deg = 15.0
+way_back = "empty"
 """

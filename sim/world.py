@@ -128,21 +128,23 @@ class World:
         self.pace = pace
         self.witness = witness
         self.laser_on = False
+        self._lit_since_s = math.inf
         self._seen: tuple[tuple[float, float], SimProfile] | None = None
 
     def switch_laser(self, now_s: float, *, on: bool, why: str) -> None:
         """Switch the laser; witnessed when it changes."""
         if on != self.laser_on:
             self.laser_on = on
+            self._lit_since_s = now_s if on else math.inf
             self.witness.note(now_s, "laser", on=on, why=why)
 
     def look(self, now_s: float) -> SimProfile | None:
-        """What the sensor sees now; None while the laser is off.
+        """What the sensor saw a moment ago or sees now; None where the laser was off then.
 
         Noise is speckle: a scene that stands still looks the same however often it is looked at, so
         that a scan does not depend on how many profiles were sent before one was taken.
         """
-        if not self.laser_on:
+        if now_s < self._lit_since_s:
             return None
         pose = (self.table.load(now_s), self.stage.load(now_s))
         if self._seen is None or self._seen[0] != pose:

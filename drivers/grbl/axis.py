@@ -41,11 +41,13 @@ from drivers.grbl.stopping import Rest, come_to_rest, reset_held
 from drivers.grbl.wire import FENCE, Realtime, feed_move, jog
 from drivers.links import ByteLink
 from drivers.recipes import Order, Recipe, Word
+from drivers.sweeping import Course
 
 _GENTLY_S: Final = 0.1
 RESET_S: Final = 0.2  # until the banner of a board that is up
 _PLANNER_S: Final = 0.1  # idle for so long somewhere else, a move is over and not yet to begin
 _UNHOMED_JOG: Final = 1.0  # degree or mm, from where the axis stands
+_ROUNDING: Final = 1e-9  # of a speed: degrees to radians and back
 
 
 class _Doing(Enum):
@@ -140,6 +142,17 @@ class GrblAxis:
             raise Refused(f"{self._name}: not homed; home it first")
         check_travel(self._talk, self._index(), self._settings, position, self._zero)
         return self._travel(self._settings.to_wire(position), _Doing.FEED, pause)
+
+    def sweep_to(self, position: float, course: Course, pause: Pause) -> AxisState:
+        """Move in one straight feed of its own speed; see `drivers.sweeping`."""
+        self._settings.check_limits(position)
+        if not self._homed:
+            raise Refused(f"{self._name}: not homed; home it first")
+        check_travel(self._talk, self._index(), self._settings, position, self._zero)
+        self._ready(pause)
+        here = self._position(self._idle(pause))
+        target = self._settings.to_wire(position)
+        return self._axis_state(self._leg(here, target, _Doing.FEED, pause, course))
 
     def jog_to(self, position: float, pause: Pause) -> AxisState:
         """Move by a jog: cancelled by one byte, refused beyond the controller's own travel."""
@@ -241,18 +254,21 @@ class GrblAxis:
             self._settings.check_limits(self._settings.from_wire(before))
         return [before, target]
 
-    def _leg(self, here: float, target: float, doing: _Doing, pause: Pause) -> Status:
+    def _leg(
+        self, here: float, target: float, doing: _Doing, pause: Pause, course: Course | None = None
+    ) -> Status:
         """Send one move, once, and see it end where it should."""
         spell = jog if doing is _Doing.JOG else feed_move
-        line = spell(self._settings.letter, target + self._zero, self._feed_per_min())
+        line = spell(self._settings.letter, target + self._zero, self._feed_per_min(course))
         lost: NoReply | None = None
         self._taken_up = False
-        with self._stopped_unless_done(doing):
+        before_stop = course.onlooker.failing if course else _nothing
+        with self._stopped_unless_done(doing), unless_done(before_stop):
             try:
                 self._talk.exchange(line, pause)
             except NoReply as unanswered:
                 lost = unanswered  # it may have been heard: the position decides, not a second try
-            status = self._until_standing(target, abs(target - here), pause)
+            status = self._until_standing(target, abs(target - here), pause, course)
             self._compare(target, self._position(status), lost)
         return status
 
@@ -271,8 +287,10 @@ class GrblAxis:
         if not isinstance(self._talk.dialogue.answer, Error):
             self.stop()
 
-    def _until_standing(self, target: float, distance: float, pause: Pause) -> Status:
-        within_s = 2 * self._duration_s(distance) + 2.0
+    def _until_standing(
+        self, target: float, distance: float, pause: Pause, course: Course | None
+    ) -> Status:
+        within_s = 2 * self._duration_s(distance, course) + 2.0
         deadline_s = self._talk.clock() + within_s
         upsets = self._talk.dialogue.upsets
         far = distance > self._tolerance()
@@ -281,6 +299,8 @@ class GrblAxis:
             status = self._talk.status(pause)
             self._check_moving(status, upsets)
             here, now_s = self._position(status), self._talk.clock()
+            if course is not None:
+                course.onlooker.seen(self._talk.asked_s, self._settings.from_wire(here))
             if status.state is State.IDLE:
                 if far and abs(here - target) <= self._tolerance():
                     return status
@@ -432,17 +452,30 @@ class GrblAxis:
     def _tolerance(self) -> float:
         return self._settings.to_wire(self._settings.tolerance)
 
-    def _feed_per_min(self) -> float:
-        return min(
+    def _feed_per_min(self, course: Course | None = None) -> float:
+        fastest = min(
             60 * self._settings.to_wire(self._settings.speed),
             self._talk.rate(110 + self._index()),
         )
+        if course is None:
+            return fastest
+        feed = 60 * self._settings.to_wire(course.speed)
+        if feed > fastest * (1.0 + _ROUNDING):
+            raise Refused(
+                f"{self._name}: {feed / 60:g} {self._settings.unit}/s, and it moves at most"
+                f" {fastest / 60:g}; turn more slowly, or raise $11{self._index()}"
+            )
+        return min(feed, fastest)
 
-    def _duration_s(self, distance: float) -> float:
+    def _duration_s(self, distance: float, course: Course | None = None) -> float:
         """A trapezoid's, or more than a triangle's."""
-        return 60 * distance / self._feed_per_min() + self._braking_s()
+        return 60 * distance / self._feed_per_min(course) + self._braking_s()
 
     def _braking_s(self) -> float:
         if self._identity is None:
             return 1.0
         return self._feed_per_min() / 60 / self._talk.rate(120 + self._index())
+
+
+def _nothing() -> None:
+    """Nobody looks on."""

@@ -56,6 +56,7 @@ class Conversation:
         self.name = name  # for messages
         self.clock = clock
         self.dialogue = Dialogue()
+        self.asked_s = clock()  # of the last question for a report
         self._asked = self._timeouts = 0
         self._link = link
         self._heard_bytes = 0
@@ -153,6 +154,7 @@ class Conversation:
     def report(self, pause: Pause | None, *, within_s: float) -> Status | None:
         """One report, asked for once; None where it did not come."""
         dialogue = self.dialogue
+        self.asked_s = self.clock()
         self.write(dialogue.ask())
         self._asked += 1
         self.until(lambda: dialogue.status is not None or dialogue.locked, within_s, pause)

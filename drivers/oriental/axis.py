@@ -37,6 +37,7 @@ from drivers.oriental.registers import (
 )
 from drivers.oriental.settings import Settings, Turning
 from drivers.recipes import Order, Recipe
+from drivers.sweeping import Course
 
 _POLL_S: Final = 0.02
 _REST_S: Final = 1.0  # longer than a table brakes
@@ -122,6 +123,29 @@ class AzAxis:
         self._must_be_homed()  # the drive may have said otherwise
         return self._travel(position, self._settings.speed_hz, pause)
 
+    def sweep_to(self, position: float, course: Course, pause: Pause) -> AxisState:
+        """Move in one frame at its own speed; see `drivers.sweeping`.
+
+        Raises
+        ------
+        Refused
+            Or the table wraps: the drive would take the shorter way.
+        """
+        settings = self._settings
+        settings.check_limits(position)
+        if settings.turning is not Turning.UNWRAPPED:
+            raise Refused(f"{self._name}: it wraps, so no whole turn is one move; turn unwrapped")
+        speed_hz = round(settings.to_wire(course.speed) * settings.steps_per_unit)
+        if not 1 <= speed_hz <= settings.speed_hz:
+            raise Refused(
+                f"{self._name}: {settings.to_wire(course.speed):g} {settings.unit}/s is not between"
+                " a step a second and the speed of its moves; turn at another speed"
+            )
+        self._must_be_homed()
+        self._ready()
+        self._must_be_homed()
+        return self._travel(position, speed_hz, pause, course)
+
     def jog_to(self, position: float, pause: Pause) -> AxisState:
         """Move slowly, relative to where it stands; unhomed by a degree or millimetre at most."""
         self._settings.check_limits(position)
@@ -159,7 +183,9 @@ class AzAxis:
 
     # --- moving
 
-    def _travel(self, position: float, speed_hz: int, pause: Pause) -> AxisState:
+    def _travel(
+        self, position: float, speed_hz: int, pause: Pause, course: Course | None = None
+    ) -> AxisState:
         settings, here = self._settings, self._count()
         named = settings.steps(position)
         arrival = settings.arrival(here, named)
@@ -167,7 +193,7 @@ class AzAxis:
         wraps = settings.turning is not Turning.UNWRAPPED
         told = settings.wrapped(named) if wraps else named
         data = self._data(Operation(settings.turning.value), told, speed_hz)
-        self._go(data, arrival, settings.move_s(arrival - here, speed_hz), pause)
+        self._go(data, arrival, settings.move_s(arrival - here, speed_hz), pause, course)
         self._names = named - arrival
         return self._state_of(self._output())
 
@@ -181,18 +207,28 @@ class AzAxis:
         rate = self._settings.rate
         return DirectData(operation, position, speed_hz, start_rate=rate, stop_rate=rate)
 
-    def _go(self, data: DirectData, arrival: int, within_s: float, pause: Pause) -> None:
+    def _go(
+        self,
+        data: DirectData,
+        arrival: int,
+        within_s: float,
+        pause: Pause,
+        course: Course | None = None,
+    ) -> None:
         """Send one operation, once, and see it end where it should."""
         lost: DriverError | None = None
-        with unless_done(self._give_up):
+        before_stop = course.onlooker.failing if course else _nothing
+        with unless_done(self._give_up), unless_done(before_stop):
             try:
                 self._write(Register.DIRECT_DATA, direct_block(data))
             except (NoReply, FrameError) as unanswered:
                 lost = unanswered  # it may have been heard: the position decides
-            self._until_standing("the move", within_s, pause)
+            self._until_standing("the move", within_s, pause, course)
             self._must_have_arrived(arrival, lost)
 
-    def _until_standing(self, aim: str, within_s: float, pause: Pause) -> tuple[Output, bool]:
+    def _until_standing(
+        self, aim: str, within_s: float, pause: Pause, course: Course | None = None
+    ) -> tuple[Output, bool]:
         """Poll until it stands; the last outputs, and whether it was seen to move."""
         deadline_s = self._clock() + within_s
         stood_since_s, begun = self._clock(), False
@@ -209,6 +245,10 @@ class AzAxis:
                     f"{self._name}: {aim} was not over after {within_s:.1f} s; told to stop; is it"
                     " blocked?"
                 )
+            if course is not None:
+                asked_s = self._clock()
+                position = self._settings.position(self._count() + self._names)
+                course.onlooker.seen(asked_s, position)
             pause(_POLL_S)
 
     def _must_have_arrived(self, arrival: int, lost: DriverError | None) -> None:
@@ -342,3 +382,7 @@ class AzAxis:
             self._homed_at = None
             self._identity = None  # whoever answers next may be another
             raise
+
+
+def _nothing() -> None:
+    """Nobody looks on."""

@@ -122,14 +122,19 @@ def _descended(model: Model, at: FloatArray, *, robust: bool) -> FloatArray:
         key = where.tobytes()
         if key not in seen:  # the solver asks for the one after the other
             seen.clear()
-            residuals, jacobian = model.evaluate(where)
-            seen[key] = _softened(residuals, jacobian) if robust else (residuals, jacobian)
+            plain = model.evaluate(where)
+            seen[key] = _softened(*plain) if robust else plain
         return seen[key]
 
+    def residuals(where: FloatArray) -> FloatArray:
+        return both(where)[0]
+
+    def jacobian(where: FloatArray) -> FloatArray:
+        return both(where)[1]
+
     found = least_squares(
-        lambda where: both(where)[0], at, jac=lambda where: both(where)[1], x_scale="jac",
-        max_nfev=_MOST_EVALUATIONS, method="lm",
-    )  # fmt: skip
+        residuals, at, jac=jacobian, x_scale="jac", max_nfev=_MOST_EVALUATIONS, method="lm"
+    )
     return np.asarray(found.x, np.float64)
 
 

@@ -17,6 +17,7 @@ from sim.baumer_ox import registers
 from sim.baumer_ox.frames import FEWEST_BYTES, Encoding, frames, profile_body
 from sim.baumer_ox.reading import Quality, Reading
 from sim.device import ModbusRefusal
+from sim.sensor_clock import FreeRun, SensorClock
 from sim.world import World
 
 _ILLEGAL_FUNCTION, _ILLEGAL_ADDRESS, _ILLEGAL_VALUE, _DEVICE_FAILURE = 1, 2, 3, 4
@@ -31,6 +32,7 @@ class OxSettings:
     """How the sensor was set up on its web page; its points are the bench's `Sensor.points`."""
 
     rate_hz: float = 100.0
+    clock: SensorClock | None = None  # None: it measures when it is looked at
     encoding: Encoding = Encoding.ZI
     most_bytes: int = 1400  # of a datagram, its header included
     setup: int = 1
@@ -77,26 +79,28 @@ class OxSensor:
         }
         self._setup = told.setup
         self._parametrising = False
-        self._period: int | None = None  # the last that was asked for
+        self._free_run = FreeRun(told.clock)
         self._sent = 0  # blocks
 
     def datagrams(self, now_s: float) -> Sequence[bytes]:
-        """Return the frames of the newest profile, once, and only of one that was lit."""
-        period = math.floor(self._world.pace.station_s(now_s) * self._settings.rate_hz)
-        if period == self._period:
-            return ()
-        self._period = period
-        profile = self._world.look(now_s)
+        """Return the frames of the newest profiles, each once, and only of those that were lit."""
+        station_s = self._world.pace.station_s(now_s)
+        due = self._free_run.due(station_s, self._settings.rate_hz)
+        return [frame for seen_s in due for frame in self._profile(seen_s, now_s)]
+
+    def _profile(self, station_s: float, now_s: float) -> Sequence[bytes]:
+        seen_s = self._world.pace.wall_s(station_s)
+        profile = self._world.look(seen_s)
         if profile is None:
             return ()
         block, settings, world = self._sent % _BLOCKS, self._settings, self._world
         self._sent += 1
         seen = int(np.count_nonzero(profile.seen))
         world.witness.note(
-            now_s, "profile", frame=block, table_rad=world.table.load(now_s),
-            stage_mm=world.stage.load(now_s), seen=seen,
+            now_s, "profile", frame=block, table_rad=world.table.load(seen_s),
+            stage_mm=world.stage.load(seen_s), seen=seen,
         )  # fmt: skip
-        body = profile_body(self._reading(seen, now_s), profile, settings.encoding)
+        body = profile_body(self._reading(seen, station_s), profile, settings.encoding)
         return frames(body, block, settings.most_bytes)
 
     def read_holding(self, first: int, count: int, now_s: float) -> Sequence[int]:
@@ -151,14 +155,15 @@ class OxSensor:
         z = np.empty(0) if profile is None else profile.counts[profile.seen, 1]
         sensor = self._world.bench.settings.sensor
         nearest_mm = z.min() * sensor.z_mm_per_count + sensor.z_offset_mm if len(z) else math.nan
-        return registers.reading_words(self._reading(len(z), now_s), nearest_mm)
+        station_s = self._world.pace.station_s(now_s)
+        return registers.reading_words(self._reading(len(z), station_s), nearest_mm)
 
-    def _reading(self, points_seen: int, now_s: float) -> Reading:
+    def _reading(self, points_seen: int, station_s: float) -> Reading:
         return Reading(
             parametrising=self._parametrising,
             quality=Quality.OK if points_seen else Quality.NO_SIGNAL,
             rate_hz=self._settings.rate_hz,
-            time_us=round(self._world.pace.station_s(now_s) * 1e6),
+            time_us=round(self._free_run.stamp_s(station_s) * 1e6),
         )
 
 

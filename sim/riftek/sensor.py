@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from sim.riftek.frames import Count, datagram
+from sim.sensor_clock import FreeRun, SensorClock
 from sim.world import World
 
 _INTERNAL, _SOFTWARE = 0, 2
@@ -32,6 +33,7 @@ class RfSettings:
     """How the sensor was set up on its web page."""
 
     rate_hz: float = 100.0
+    clock: SensorClock | None = None  # None: it measures when it is looked at
     serial: int = 627_001
     exposure_ns: int = 300_000
 
@@ -59,7 +61,7 @@ class RfSensor:
             "user_streams_udpEnabled": 1,
             "user_streams_format": _PROFILES,
         }
-        self._period: int | None = None
+        self._free_run = FreeRun(told.clock)
         self._wished = 0  # profiles that software asked for
         self._measured = 0
         self._sent = 0
@@ -93,27 +95,27 @@ class RfSensor:
         return "RF_OK"
 
     def datagrams(self, now_s: float) -> Sequence[bytes]:
-        """Return the newest profile, once, and only of one that was lit."""
+        """Return the newest profiles, each once, and only of those that were lit."""
         station_s = self._world.pace.station_s(now_s)
-        period = math.floor(station_s * self._values["user_sensor_framerate"])
-        if period == self._period or not self._is_due():
-            return ()
-        self._period = period
-        profile = self._world.look(now_s)
+        due = self._free_run.due(station_s, self._values["user_sensor_framerate"])
+        return [each for seen_s in due if self._is_due() for each in self._profile(seen_s, now_s)]
+
+    def _profile(self, station_s: float, now_s: float) -> Sequence[bytes]:
+        world, seen_s = self._world, self._world.pace.wall_s(station_s)
+        profile = world.look(seen_s)
         if profile is None or not self._streams:
             return ()
         count = Count(
             packet=self._sent,
             measure=self._measured,
-            time_ns=round(station_s * 1e9),
+            time_ns=round(self._free_run.stamp_s(station_s) * 1e9),
             exposure_ns=self._values["user_sensor_exposure1"],
         )
         self._sent += 1
         self._measured += 1
-        world = self._world
         world.witness.note(
-            now_s, "profile", frame=count.packet, table_rad=world.table.load(now_s),
-            stage_mm=world.stage.load(now_s), seen=int(np.count_nonzero(profile.seen)),
+            now_s, "profile", frame=count.packet, table_rad=world.table.load(seen_s),
+            stage_mm=world.stage.load(seen_s), seen=int(np.count_nonzero(profile.seen)),
         )  # fmt: skip
         return (datagram(profile, world.bench.settings.sensor, self._serial, count),)
 

@@ -460,7 +460,7 @@ def test_the_rate_follows_the_stations_time():
 def test_block_numbers_wrap_as_32_bits_do():
     sensor = OxSensor(lit_world(bench_of(THREE)))
     sensor._sent = 2**32 - 1  # 497 days later
-    ((before,), (after,)) = sensor.datagrams(START_S - 0.005), sensor.datagrams(START_S + 0.005)
+    ((before,), (after,)) = sensor.datagrams(START_S + 0.005), sensor.datagrams(START_S + 0.015)
     assert (before[:4], after[:4]) == (b"\xff" * 4, bytes(4))
 
 
