@@ -109,7 +109,7 @@ class Kinematics:
         float, Key("where the sensor stands around the axis, counter-clockwise from x")
     ] = 0.0
     pitch_deg: Annotated[
-        float, Key("how steeply the beam rises on its way", at_least=-60.0, at_most=60.0)
+        float, Key("how steeply the beam rises on its way", at_least=-90.0, at_most=90.0)
     ] = 0.0
     roll_deg: Annotated[
         float, Key("the sheet's turn around the beam: its right goes up; 90: meridians")
@@ -205,6 +205,14 @@ def station_to_sensor(
         raise ValueError("stage_z_mm: the stage moves within the laser plane, not across it")
     found = np.linalg.solve(steps.T, (facing - sensor_origin(kinematics)).T).T
     return np.asarray(found[:, :2]), np.asarray(found[:, 2])
+
+
+def onto_sheet(points_mm: FloatArray, stage_mm: FloatArray, kinematics: Kinematics) -> FloatArray:
+    """Points (n, 3) in the station to the nearest x, z of the sheet at stage positions (n,)."""
+    facing = _turned(points_mm, np.full(len(points_mm), -math.radians(kinematics.azimuth_deg)))
+    along_stage = np.asarray(stage_mm, np.float64)[:, None] * stage_step(kinematics)
+    arms = facing - sensor_origin(kinematics) - along_stage
+    return np.asarray(arms @ np.linalg.pinv(sensor_axes(kinematics)))
 
 
 def true_turn(kinematics: Kinematics) -> float:

@@ -25,10 +25,10 @@ from acquisition.arrays import FloatArray
 from acquisition.errors import NotAsKept
 from acquisition.frames import (
     Kinematics,
+    onto_sheet,
     part_to_station,
     sensor_to_station,
     station_to_part,
-    station_to_sensor,
 )
 from acquisition.poses import Pose, Sweep
 from drivers.profiler import Reason
@@ -69,7 +69,8 @@ class Closure:
 def comparable(sweep: Sweep) -> bool:
     """Whether a slice has enough points to be compared."""
     counts = [int((each.reasons == Reason.MEASURED).sum()) for each in sweep.profiles]
-    return sum(count >= _ENOUGH_POINTS for count in counts) >= _ENOUGH_PROFILES
+    enough = max(1, min(_ENOUGH_PROFILES, len(counts)))  # a stripe is one profile
+    return sum(count >= _ENOUGH_POINTS for count in counts) >= enough
 
 
 def compare(kept: Sweep, again: Sweep, kinematics: Kinematics) -> Closure:
@@ -136,7 +137,7 @@ def _moved(points_mm: FloatArray, pose: Pose, before: Pose, kinematics: Kinemati
     station = sensor_to_station(points_mm, np.full(count, pose.stage_mm), kinematics)
     part = station_to_part(station, np.full(count, pose.table_rad), kinematics)
     turned = part_to_station(part, np.full(count, before.table_rad), kinematics)
-    return station_to_sensor(turned, kinematics)[0]
+    return onto_sheet(turned, np.full(count, before.stage_mm), kinematics)
 
 
 def _distances(old: FloatArray, new: FloatArray) -> FloatArray:

@@ -1,6 +1,6 @@
-"""What a scan is to do: rings at stage heights, step and shoot; checked before anything moves.
+"""What a scan is to do: rings, meridians or stripes, step and shoot; checked before anything moves.
 
-::
+Rings; the others are in `acquisition.patterns`::
 
     stage_mm   first_mm -> last_mm in steps of step_mm, always upward: the screw's backlash is
        |       taken up by the way it comes
@@ -17,6 +17,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from acquisition.patterns import (
+    MOST_SLICES,
+    Meridian,
+    Reach,
+    SliceKind,
+    Stripe,
+    steps_in,
+)
 from acquisition.settings import (
     Key,
     commented_toml,
@@ -26,8 +34,6 @@ from acquisition.settings import (
 )
 from acquisition.station import Station
 
-_GRID_SLACK = 1e-6  # of a step: 0.1 + 0.1 + 0.1 still reaches 0.3
-_MOST_RINGS = 1_000_000
 _BYTES_A_POINT = 4 + 4 + 1 + 2  # x, z, reason, intensity at their widest
 _BYTES_A_PROFILE = 96  # lengths, scale, offset, times, pose
 _BYTES_A_SLICE = 4096  # the archive's directory and headers
@@ -54,13 +60,26 @@ class Ring:
                 f"last_mm: {self.last_mm} is below first_mm {self.first_mm}; swap them"
             )
 
-        if not (self.last_mm - self.first_mm) / self.step_mm < _MOST_RINGS:
+        if not (self.last_mm - self.first_mm) / self.step_mm < MOST_SLICES:
             raise ValueError(f"step_mm: {self.step_mm} makes over a million rings; widen it")
 
     @property
     def count(self) -> int:
         """How many rings."""
-        return math.floor((self.last_mm - self.first_mm) / self.step_mm + _GRID_SLACK) + 1
+        return steps_in(self.first_mm, self.last_mm, self.step_mm)
+
+    @property
+    def stops(self) -> int:
+        """Of the table, in each ring."""
+        return self.profiles_per_turn
+
+    @property
+    def reach(self) -> Reach:
+        """The table turns there and back in every ring; the stage goes up once."""
+        top_mm = self.first_mm + (self.count - 1) * self.step_mm
+        last_deg = 360.0 * (self.profiles_per_turn - 1) / self.profiles_per_turn
+        turned_deg = 2.0 * self.count * last_deg
+        return Reach(self.first_mm, top_mm, 0.0, last_deg, turned_deg, top_mm - self.first_mm)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,8 +94,33 @@ class StepAndShoot:
 class Plan:
     """Everything plan.toml says."""
 
-    ring: Annotated[Ring, Key("where: rings")]
+    ring: Annotated[Ring | None, Key("where: rings; or one of the next two")] = None
+    meridian: Annotated[Meridian | None, Key("where: an upright sheet, and the table turns")] = None
+    stripe: Annotated[Stripe | None, Key("where: the stage moves along, the table stands")] = None
     step_and_shoot: Annotated[StepAndShoot, Key("how: stop, settle, measure")]
+
+    def __post_init__(self) -> None:
+        given = [kind.value for kind in SliceKind if getattr(self, kind.value) is not None]
+        if not given:
+            raise ValueError("ring is missing; add a [ring] table, or [meridian], or [stripe]")
+        if len(given) > 1:
+            raise ValueError(f"{given[1]}: stands beside [{given[0]}]; a plan has one of them")
+
+    @property
+    def kind(self) -> SliceKind:
+        """What its slices are."""
+        return next(kind for kind in SliceKind if getattr(self, kind.value) is not None)
+
+    @property
+    def pattern(self) -> Ring | Meridian | Stripe:
+        """Where its slices lie."""
+        pattern: Ring | Meridian | Stripe = getattr(self, self.kind.value)
+        return pattern
+
+    @property
+    def count(self) -> int:
+        """How many slices."""
+        return self.pattern.count
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +130,13 @@ class Target:
     index: int
     stage_mm: float
     table_rad: tuple[float, ...]
+    more_mm: tuple[float, ...] = ()  # further places of the stage, upward
+
+    @property
+    def stops(self) -> tuple[tuple[float, float], ...]:
+        """Stage position in mm and table angle in rad of every profile, in order."""
+        places_mm = (self.stage_mm, *self.more_mm)
+        return tuple((at_mm, table_rad) for at_mm in places_mm for table_rad in self.table_rad)
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,10 +168,24 @@ def ring(first_mm: float, last_mm: float, step_mm: float, profiles_per_turn: int
 
 def targets(plan: Plan) -> Iterator[Target]:
     """Give the slices of a plan in order, index from 0."""
-    stops = plan.ring.profiles_per_turn
-    table_rad = tuple(math.tau * stop / stops for stop in range(stops))
-    for index in range(plan.ring.count):
-        yield Target(index, plan.ring.first_mm + index * plan.ring.step_mm, table_rad)
+    for index in range(plan.count):
+        yield target(plan, index)
+
+
+def target(plan: Plan, index: int) -> Target:
+    """Give one slice of a plan."""
+    match plan.pattern:
+        case Ring() as rings:
+            stops = rings.profiles_per_turn
+            table_rad = tuple(math.tau * stop / stops for stop in range(stops))
+            return Target(index, rings.first_mm + index * rings.step_mm, table_rad)
+        case Meridian() as meridians:
+            first_mm, *more_mm = meridians.positions_mm
+            turned_rad = math.radians(meridians.angle_deg(index))
+            return Target(index, first_mm, (turned_rad,), tuple(more_mm))
+        case Stripe() as stripes:
+            place_mm = stripes.first_mm + index * stripes.step_mm
+            return Target(index, place_mm, (math.radians(stripes.table_deg),))
 
 
 def check_plan(plan: Plan, station: Station, name: str = "plan.toml") -> None:
@@ -132,40 +197,42 @@ def check_plan(plan: Plan, station: Station, name: str = "plan.toml") -> None:
         One line: the plan's key, the position, the limit and the fix.
     """
     stage, table = station.stage, station.table
-    top_mm = plan.ring.first_mm + (plan.ring.count - 1) * plan.ring.step_mm
-    last_deg = 360.0 * (plan.ring.profiles_per_turn - 1) / plan.ring.profiles_per_turn
-    if plan.ring.first_mm < stage.lowest_mm:
+    kind, reach = plan.kind.value, plan.pattern.reach
+    if reach.lowest_mm < stage.lowest_mm:
         raise ValueError(
-            f"{name}: ring.first_mm: {plan.ring.first_mm} is below the stage's soft limit"
+            f"{name}: {kind}.first_mm: {reach.lowest_mm} is below the stage's soft limit"
             f" lowest_mm {stage.lowest_mm}; raise it"
         )
-    if top_mm > stage.highest_mm:
+    if reach.highest_mm > stage.highest_mm:
         raise ValueError(
-            f"{name}: ring.last_mm: the last ring, at {top_mm:g}, is above the stage's soft limit"
-            f" highest_mm {stage.highest_mm}; lower it"
+            f"{name}: {kind}.last_mm: the last {kind}, at {reach.highest_mm:g}, is above the"
+            f" stage's soft limit highest_mm {stage.highest_mm}; lower it"
         )
-    if table.lowest_deg > 0.0 or table.highest_deg < last_deg:
+    if table.lowest_deg > reach.lowest_deg or table.highest_deg < reach.highest_deg:
         raise ValueError(
-            f"{name}: ring: a turn from 0 to {last_deg:g} deg leaves the table's soft limits"
-            f" {table.lowest_deg} to {table.highest_deg}; widen them in the station's [table]"
+            f"{name}: {kind}: a turn from {reach.lowest_deg:g} to {reach.highest_deg:g} deg leaves"
+            f" the table's soft limits {table.lowest_deg} to {table.highest_deg}; widen them in the"
+            " station's [table]"
         )
-    if table.lowest_deg > -table.backlash_deg:
+    if table.lowest_deg > reach.lowest_deg - table.backlash_deg:
         raise ValueError(
-            f"{name}: ring: 0 deg is approached from backlash_deg {table.backlash_deg} below, past"
-            f" the soft limit lowest_deg {table.lowest_deg}; lower it in the station's [table]"
+            f"{name}: {kind}: {reach.lowest_deg:g} deg is approached from backlash_deg"
+            f" {table.backlash_deg} below, past the soft limit lowest_deg {table.lowest_deg}; lower"
+            " it in the station's [table]"
         )
 
 
 def estimate(plan: Plan, station: Station) -> Estimate:
     """Tell how long a plan takes at least and how many bytes it keeps at most."""
-    rings, stops = plan.ring.count, plan.ring.profiles_per_turn
-    profiles = rings * stops * plan.step_and_shoot.profiles_per_stop
-    turning_s = rings * 2.0 * 360.0 * (stops - 1) / stops / station.table.speed_deg_s
-    lifting_s = (rings - 1) * plan.ring.step_mm / station.stage.speed_mm_s
-    standing_s = rings * stops * plan.step_and_shoot.settle_s + profiles / station.profiler.rate_hz
+    slices, reach = plan.count, plan.pattern.reach
+    stops = slices * plan.pattern.stops
+    profiles = stops * plan.step_and_shoot.profiles_per_stop
+    turning_s = reach.turned_deg / station.table.speed_deg_s
+    lifting_s = reach.lifted_mm / station.stage.speed_mm_s
+    standing_s = stops * plan.step_and_shoot.settle_s + profiles / station.profiler.rate_hz
     points = profiles * station.profiler.points_per_profile
-    kept = points * _BYTES_A_POINT + profiles * _BYTES_A_PROFILE + rings * _BYTES_A_SLICE
-    return Estimate(rings, profiles, turning_s + lifting_s + standing_s, kept)
+    kept = points * _BYTES_A_POINT + profiles * _BYTES_A_PROFILE + slices * _BYTES_A_SLICE
+    return Estimate(slices, profiles, turning_s + lifting_s + standing_s, kept)
 
 
 def parse_plan(text: str, name: str = "plan.toml") -> Plan:

@@ -1,4 +1,4 @@
-"""A scan: rings, step and shoot, one sweep after the other; the laser on only while it exposes.
+"""A scan: slices, step and shoot, one sweep after the other; the laser on only while it exposes.
 
 One stop of the table::
 
@@ -9,11 +9,11 @@ One stop of the table::
     read back                                    pose
 
 Everything waits in steps of 50 ms at most, and looks for the operator's stop in each of them.
-Between slices nothing moves, the laser is off and the table is back at 0: there, and only there,
-the generator rests, so that closing it late leaves nothing on. Whoever takes a sweep for long, such
-as a slow disk, holds the scan up there: that is a pause, after a minute of which the laser is
-announced anew. The laser's own way out is
-`open_station`, whose block stands around the loop that takes the sweeps.
+Between slices nothing moves and the laser is off (and the table is back at 0 from a ring): there,
+and only there, the generator rests, so that closing it late leaves nothing on. Whoever takes a
+sweep for long, such as a slow disk, holds the scan up there: that is a pause, after a minute of
+which the laser is announced anew. The laser's own way out is `open_station`, whose block stands
+around the loop that takes the sweeps.
 
 An axis that is not homed is homed first; when a scan is resumed, every axis that has a reference of
 its own is, and a kept slice may be taken `again` before the others. Not so a table whose zero is
@@ -32,7 +32,8 @@ import numpy as np
 from acquisition.errors import LeaseLapsed, Stopped, ZeroLost
 from acquisition.lease import LONGEST_WAIT_S, lasing, pausing
 from acquisition.opening import OpenStation, at_rest_unless_done
-from acquisition.plan import Plan, Target, check_plan, targets
+from acquisition.patterns import SliceKind
+from acquisition.plan import Plan, Target, check_plan, target
 from acquisition.poses import Pose, Sweep
 from acquisition.profilers import lost_profile, patience_s
 from acquisition.safety.leading import arm, begin_homing, homed, known, resume
@@ -142,13 +143,12 @@ def scan(
         The laser is off and the axes are stopped; the slice under way is not kept.
     """
     check_plan(plan, station.settings)
-    whole = range(plan.ring.count)
+    whole = range(plan.count)
     wanted = sorted(set(whole if indices is None else indices))
     first = [] if again is None else [again]
     if unknown := [index for index in (*first, *wanted) if index not in whole]:
         raise ValueError(f"plan: it has the slices 0 to {whole[-1]}, no slice {unknown[0]}")
-    by_index = {target.index: target for target in targets(plan)}
-    taken = [by_index[index] for index in (*first, *wanted)] if wanted else []
+    taken = [target(plan, index) for index in (*first, *wanted)] if wanted else []
     run = _Scan(station, plan, stop, part, progress)
     return run.sweeps(taken, len(first), resumed=len(wanted) < len(whole))
 
@@ -265,11 +265,14 @@ class _Scan:
             self._pause(LONGEST_WAIT_S)
 
     def _sweep(self, target: Target, done: int, slices: int) -> Sweep:
-        self._lift_to(target.stage_mm)
         profiles: list[Profile] = []
         poses: list[Pose] = []
-        stops = len(target.table_rad)
-        for number, table_rad in enumerate(target.table_rad, start=1):
+        stops = target.stops
+        lifted_mm: float | None = None
+        for number, (stage_mm, table_rad) in enumerate(stops, start=1):
+            if stage_mm != lifted_mm:
+                self._lift_to(stage_mm)
+                lifted_mm = stage_mm
             self._station.table.move_to(table_rad, self._pause)
             self._pause(self._plan.step_and_shoot.settle_s)
             for _ in range(self._plan.step_and_shoot.profiles_per_stop):
@@ -277,9 +280,12 @@ class _Scan:
                 poses.append(self._pose())
             lost, tally = self._lost_profiles, self._station.profiler.tally()
             if done >= 0:
-                told = Progress(target.index, done, slices, number, stops, lost, tally)
+                told = Progress(target.index, done, slices, number, len(stops), lost, tally)
                 self._progress(told)
-        self._station.table.move_to(0.0, self._pause)
+        if self._plan.kind is SliceKind.RING or (
+            self._plan.kind is SliceKind.MERIDIAN and done == slices - 1
+        ):
+            self._station.table.move_to(0.0, self._pause)
         return Sweep(target.index, tuple(profiles), tuple(poses))
 
     def _lift_to(self, stage_mm: float) -> None:

@@ -45,7 +45,7 @@ class ScanRecord:
     @property
     def indices(self) -> range:
         """The indices of a complete scan."""
-        return range(self.plan.ring.count)
+        return range(self.plan.count)
 
 
 def calibration_hash(calibration: Kinematics) -> str:

@@ -175,7 +175,9 @@ def _lines(settings: object, path: str) -> Iterator[str]:
         yield f"{selector(kind)} = {_quoted(getattr(settings, selector(kind)))}"
     values = {one.name: getattr(settings, one.name) for one in fields(settings)}  # type: ignore[arg-type]
     for name, value in values.items():
-        if not rivals(type(value)):
+        if value is None and rivals(_declared(kind, name)[0]):
+            yield f"# [{_joined(path, name)}]  # {_declared(kind, name)[1].meaning}"
+        elif not rivals(type(value)):
             text = f"# {name} =" if value is None else f"{name} = {_toml(_plain(value))}"
             yield f"{text}  # {_declared(kind, name)[1].meaning}"
     for name, value in values.items():

@@ -27,6 +27,7 @@ from loftscan.following import FollowedScan
 from loftscan.result import OutputExists
 from loftscan.scans import Piece
 from loftscan.simulation import Simulated
+from reconstruction.skinning.layout import Layout
 
 _END_S = 10.0  # laser off, axes stopped, links closed
 
@@ -121,6 +122,10 @@ class SupervisedScan:
         with closing(self.followed.pieces()) as pieces:
             yield from pieces
         self.scan.end()
+
+    def layout(self) -> Layout:
+        """As the plan had them taken."""
+        return self.followed.layout()
 
     def origin(self) -> Mapping[str, object]:
         """What was scanned with what."""

@@ -24,7 +24,8 @@ from acquisition.folder_lock import is_locked
 from acquisition.scan_record import ScanRecord, State, calibration_hash
 from acquisition.scanfile import POLL_S, ScanFolder
 from acquisition.settings import as_table
-from loftscan.scans import Absent, Piece, arrival_of
+from loftscan.scans import Absent, Piece, arrival_of, layout_of_kind
+from reconstruction.skinning.layout import Layout
 
 PATIENCE_S = 60.0
 RECORD = "scan.json"
@@ -62,6 +63,10 @@ class KeptScan:
         record = self.folder.record()
         for index in record.indices:
             yield read_piece(self.folder, index, record)
+
+    def layout(self) -> Layout:
+        """As the plan had them taken."""
+        return layout_of_kind(self.folder.record().plan.kind)
 
     def origin(self) -> Mapping[str, object]:
         """What was scanned with what; a hash over every slice file."""
@@ -131,6 +136,10 @@ class FollowedScan:
             self.pause(POLL_S)
         return ScanFolder.open(self.path)
 
+    def layout(self) -> Layout:
+        """As the plan had them taken."""
+        return layout_of_kind(self._folder.record().plan.kind)
+
     def origin(self) -> Mapping[str, object]:
         """What was scanned with what; a hash over every slice file."""
         return describe(self._folder)
@@ -190,7 +199,7 @@ def read_piece(folder: ScanFolder, index: int, record: ScanRecord) -> Piece:
         return Absent(index, str(damaged.__cause__))
     if not sweep.poses:
         return Absent(index, "it holds no profile")
-    return arrival_of(sweep, record.calibration)
+    return arrival_of(sweep, record.calibration, record.plan.kind)
 
 
 def _timed(piece: Piece, file: Path) -> Piece:

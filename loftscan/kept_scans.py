@@ -9,7 +9,8 @@ from pathlib import Path
 
 from acquisition.errors import NotAScan
 from acquisition.folder_lock import is_locked
-from acquisition.plan import Plan
+from acquisition.patterns import Meridian, Stripe
+from acquisition.plan import Plan, Ring
 from acquisition.scanfile import RECORD, SPARE, ScanFolder
 
 
@@ -56,11 +57,19 @@ def kept_scans(place: Path) -> tuple[KeptScan, ...]:
 
 def plan_in_words(plan: Plan) -> str:
     """A plan on one line."""
-    ring = plan.ring
-    return (
-        f"{ring.count} rings from {ring.first_mm:g} mm by {ring.step_mm:g} mm,"
-        f" {ring.profiles_per_turn} stops"
-    )
+    match plan.pattern:
+        case Ring() as rings:
+            return (
+                f"{rings.count} rings from {rings.first_mm:g} mm by {rings.step_mm:g} mm,"
+                f" {rings.profiles_per_turn} stops"
+            )
+        case Meridian() as meridians:
+            return (
+                f"{meridians.count} meridians from {meridians.first_deg:g} deg by"
+                f" {360.0 / meridians.per_turn:g} deg, {meridians.stops} stops"
+            )
+        case Stripe() as stripes:
+            return f"{stripes.count} stripes from {stripes.first_mm:g} mm by {stripes.step_mm:g} mm"
 
 
 def _folders(place: Path) -> Iterator[Path]:

@@ -20,6 +20,7 @@ from acquisition.durable import temporary
 from acquisition.errors import StorageFailed
 from acquisition.folder_lock import LOCK
 from acquisition.plan import Estimate, Plan, check_plan, estimate
+from acquisition.planes import check_sheet
 from acquisition.scan_record import ScanRecord
 from acquisition.scanfile import SLICES, SPARE, ScanFolder, ScanWriter
 from acquisition.settings import as_table
@@ -96,8 +97,9 @@ def prospect(
     """
     check_plan(plan, station, plan_name)
     held = in_force or InForce(station.kinematics, "station.toml")
+    check_sheet(plan, held.kinematics, plan_name)
     kept: tuple[int, ...] = ()
-    missing = tuple(range(plan.ring.count))
+    missing = tuple(range(plan.count))
     if resume:
         folder = ScanFolder.open(out)
         _must_be_the_same(folder, station, plan)

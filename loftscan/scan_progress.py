@@ -161,7 +161,7 @@ class ScanTeller:
     def done(self, here: Prospect) -> None:
         """Tell that the scan is complete."""
         seconds = self._clock() - self._begun_s
-        slices = here.plan.ring.count
+        slices = here.plan.count
         if self._manner is Manner.JSON:
             out = str(here.out)
             self._say(
@@ -178,7 +178,7 @@ class ScanTeller:
         """Tell that the run ended at a slice's border."""
         if self._manner is Manner.JSON:
             self._say(
-                event="paused", out=str(here.out), kept=kept, slices=here.plan.ring.count,
+                event="paused", out=str(here.out), kept=kept, slices=here.plan.count,
                 **self._frames(),
             )  # fmt: skip
         self.end_line()

@@ -21,7 +21,9 @@ from acquisition.errors import Stopped
 from acquisition.frames import Kinematics
 from acquisition.loop_closure import Closure
 from acquisition.opening import OpenStation
+from acquisition.patterns import SliceKind
 from acquisition.plan import Plan, check_plan, read_plan
+from acquisition.planes import check_sheet
 from acquisition.poses import Sweep
 from acquisition.resuming import take_missing
 from acquisition.safety.leading import known
@@ -59,9 +61,14 @@ class Scan:
         self._keeping = keeping
 
     @property
+    def kind(self) -> SliceKind:
+        """What the sweeps are: rings, meridians or stripes."""
+        return self.plan.kind
+
+    @property
     def total(self) -> int:
         """How many sweeps there will be, those kept before among them."""
-        return self.plan.ring.count
+        return self.plan.count
 
     def __iter__(self) -> Self:
         return self
@@ -133,6 +140,7 @@ def scan(
     must_be_attended(station.devices.guarantee, attendance)
     station.devices.safety.attend(attended=attendance is Attendance.PRESENT)
     held = in_force(station.settings, station.folder, datetime.now(UTC), override=override)
+    check_sheet(wanted, held.kinematics, name)
     stop = StopRequest()
 
     station.end_work()

@@ -2,7 +2,7 @@
 
 ::
 
-    Sweep --- kinematics ---> Slice      each at its ring's plane, with its own height and index
+    Sweep --- kinematics ---> Slice      each in its own plane (ring, meridian or stripe), and index
 
 A .scan folder is a source as well: `loftscan.following`.
 """
@@ -17,17 +17,20 @@ from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from acquisition.frames import Kinematics, part_points, ring_plane
+from acquisition.frames import Kinematics, part_points
+from acquisition.patterns import SliceKind
+from acquisition.planes import slice_plane
 from acquisition.poses import Sweep
 from acquisition.scan_record import calibration_hash
 from drivers.profiler import Reason
 from reconstruction.arrays import FloatArray, IntArray, frozen
 from reconstruction.reduction import bounding_box
+from reconstruction.skinning.layout import Layout
 from reconstruction.slices import Frame, Slice
 
 T = TypeVar("T")
 
-_DOWNWARD = np.diag([1.0, -1.0, -1.0])  # a frame turned over around x: its normal points down
+_LAYOUTS = {SliceKind.MERIDIAN: Layout.MERIDIANS, SliceKind.STRIPE: Layout.STRIPES}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,6 +74,10 @@ class Source(Protocol):
         """The slices, lowest index first; closing this ends what delivers them."""
         ...
 
+    def layout(self) -> Layout:
+        """How the slices lie, as who took them says; asked for after the first of them."""
+        ...
+
     def origin(self) -> Mapping[str, object]:
         """What provenance.json says of it; asked for at the end."""
         ...
@@ -97,20 +104,31 @@ class Sweeps(Protocol):
     def __iter__(self) -> Iterator[Sweep]: ...
 
 
-def slice_of(sweep: Sweep, kinematics: Kinematics) -> Slice:
-    """Lay a sweep into the part frame, at its own read-back height.
+def given_sweeps(source: Sweeps) -> GivenSweeps:
+    """Sweeps as a source; they are rings where they do not say otherwise by a `kind`."""
+    kind: SliceKind = getattr(source, "kind", SliceKind.RING)
+    return GivenSweeps(source, source.kinematics, source.total, kind=kind)
 
-    The normal points from slice to slice; where a growing stage position lowers the laser plane on
-    the part it points down, and the plane's y is turned over with it.
+
+def layout_of_kind(kind: SliceKind) -> Layout:
+    """How slices lie that a plan had taken; rings of a part seen from one side are stripes."""
+    return _LAYOUTS.get(kind, Layout.AUTO)
+
+
+def kind_of_layout(layout: Layout) -> SliceKind:
+    """What sweeps are that somebody gives without their plan."""
+    return next((kind for kind, each in _LAYOUTS.items() if each is layout), SliceKind.RING)
+
+
+def slice_of(sweep: Sweep, kinematics: Kinematics, kind: SliceKind = SliceKind.RING) -> Slice:
+    """Lay a sweep into the part frame, at its own read-back place.
 
     Raises
     ------
     ValueError
-        A sweep without a profile has no height.
+        A sweep without a profile has no place.
     """
-    origin_mm, axes = ring_plane(sweep, kinematics)
-    if kinematics.stage_sign < 0:
-        axes = _DOWNWARD @ axes
+    origin_mm, axes = slice_plane(sweep, kinematics, kind)
     points_mm = part_points(sweep, kinematics)
     points_mm.flags.writeable = False
     return Slice(sweep.index, points_mm, Frame(origin_mm, axes), corners_of(points_mm))
@@ -124,12 +142,12 @@ def corners_of(points_mm: FloatArray) -> FloatArray | None:
     return np.stack([box.low_mm, box.high_mm])
 
 
-def arrival_of(sweep: Sweep, kinematics: Kinematics) -> Arrival:
+def arrival_of(sweep: Sweep, kinematics: Kinematics, kind: SliceKind = SliceKind.RING) -> Arrival:
     """A sweep's slice with what its profiles say of the places without a point."""
     reasons = np.zeros(len(Reason), np.int64)
     for profile in sweep.profiles:
         reasons += np.bincount(profile.reasons, minlength=len(Reason))
-    return Arrival(slice_of(sweep, kinematics), reasons, len(sweep.profiles))
+    return Arrival(slice_of(sweep, kinematics, kind), reasons, len(sweep.profiles))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,12 +158,17 @@ class GivenSweeps:
     kinematics: Kinematics
     total: int | None = None
     name: str = "scan"
+    kind: SliceKind = SliceKind.RING
 
     def pieces(self) -> Generator[Piece]:
         """Each sweep as it is taken; the scan ends when this is closed."""
         with closing(_passing(self.sweeps)) as passing:
             for sweep in passing:
-                yield arrival_of(sweep, self.kinematics)
+                yield arrival_of(sweep, self.kinematics, self.kind)
+
+    def layout(self) -> Layout:
+        """As their plan had them taken."""
+        return layout_of_kind(self.kind)
 
     def origin(self) -> Mapping[str, object]:
         """Only the calibration can be told: nothing is on a disk."""
@@ -181,6 +204,10 @@ class GivenSlices:
                 reasons = np.zeros(len(Reason), np.int64)
                 reasons[Reason.MEASURED] = len(piece.points_mm)
                 yield Arrival(piece, reasons)
+
+    def layout(self) -> Layout:
+        """Nobody said; their planes do."""
+        return Layout.AUTO
 
     def origin(self) -> Mapping[str, object]:
         """Nothing but the kind of it is known."""

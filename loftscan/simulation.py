@@ -81,6 +81,7 @@ def simulate(
     outliers: float | None = None,
     rings: int | None = None,
     stops: int | None = None,
+    cut: str | None = None,
     table: str | None = None,
     stage: str | None = None,
     profiler: str | None = None,
@@ -98,7 +99,9 @@ def simulate(
     seed, scale, cloud_width_mm, outliers
         Of the noise; how much faster than real time; of the optics: by default the simulator's.
     rings, stops
-        Of the plan: how many rings, and how many stops of the table in each.
+        Of the plan: how many rings (or other slices), and how many stops of the table in each.
+    cut
+        What the station's slices are: ``"rings"`` by default, ``"meridians"`` or ``"stripes"``.
     table, stage
         Families of the axes, such as ``table="oriental"``; by default grbl and leadshine.
     profiler
@@ -125,7 +128,7 @@ def simulate(
         "--part": part, "--seed": seed, "--scale": scale, "--cloud-width-mm": cloud_width_mm,
         "--outliers": outliers, "--rings": rings, "--stops": stops, "--faults": planted or None,
         "--table": table, "--stage": stage, "--profiler": profiler,
-        "--laser": laser,
+        "--laser": laser, "--cut": cut,
     }  # fmt: skip
     chosen = [each for name, value in options.items() if value is not None
               for each in (name, str(value))]  # fmt: skip

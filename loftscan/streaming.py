@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 from acquisition.errors import DamagedSlice
@@ -15,7 +16,7 @@ from loftscan import metrics, provenance
 from loftscan.findings import judge, judge_arrivals
 from loftscan.gathering import Gathered, Intake, coverage
 from loftscan.inputs import Unit
-from loftscan.methods import AnyReconstruction, AnySection
+from loftscan.methods import AnyCourse, AnyReconstruction, AnySection, Method
 from loftscan.progress import Progress, silent
 from loftscan.reconstructing import Settings
 from loftscan.result import Result
@@ -25,8 +26,10 @@ from loftscan.surface_findings import judge_surface
 from loftscan.updates import Finished, Fitted, Missed, Standing, Update
 from reconstruction.comparison import Deviation, compare_to_mesh
 from reconstruction.course import Remedy
-from reconstruction.errors import TooFewPoints
+from reconstruction.errors import NotLoftable, TooFewPoints
 from reconstruction.sections import Skipped
+from reconstruction.skinning.layout import Layout, is_turned
+from reconstruction.slices import Frame
 from reconstruction.survey import Axis
 
 _REMEDY = Remedy(
@@ -90,6 +93,35 @@ def check_settings(settings: Settings) -> None:
         )
 
 
+def laid_out(settings: Settings, scanned: Layout, name: str) -> Settings:
+    """Settings with the layout that a scan was taken in, where nobody chose one.
+
+    Raises
+    ------
+    ValueError
+        The two contradict each other, or the method cannot join such slices.
+    """
+    if scanned is Layout.AUTO:
+        return settings
+    if settings.method is Method.PAPER:
+        raise ValueError(_only_rings(name, scanned))
+    if settings.layout in (Layout.AUTO, scanned):
+        return replace(settings, layout=scanned)
+    if Layout.MERIDIANS in (settings.layout, scanned):
+        raise ValueError(
+            f"--layout {settings.layout.value}: the slices of {name} are {scanned.value}, as its"
+            " plan says; leave the option out"
+        )
+    return settings
+
+
+def _only_rings(name: str, layout: Layout) -> str:
+    return (
+        f"--method paper: the slices of {name} are {layout.value}, and the paper's method joins"
+        " rings only; choose --method fit"
+    )
+
+
 class _Run:
     """One reconstruction under way."""
 
@@ -110,7 +142,8 @@ class _Run:
         self._clock = StageClock(time.perf_counter)
         self._intake = Intake(settings.crop)
         self._damages: list[str] = []
-        self._course = settings.course()
+        self._begun: AnyCourse | None = None
+        self._first: Frame | None = None  # plane of the first slice
         self._sections: list[AnySection] = []
         self._skipped: list[Skipped] = []
         self._lags_s: list[float] = []
@@ -145,13 +178,29 @@ class _Run:
         piece = self._intake.take(arrival)
         self._clock.to("sections")
         seen, points = coverage(piece), len(piece.points_mm)
+        self._first = self._first or piece.frame
+        if self._settings.method is Method.PAPER and is_turned(self._first, piece.frame):
+            raise NotLoftable(_only_rings(self._source.name, Layout.MERIDIANS))
         try:
-            section = self._course.draw(piece)
+            section = self._course().draw(piece)
         except TooFewPoints as few:
             self._skipped.append(Skipped(piece.index, points, str(few)))
             return Missed(piece.index, points, str(few), self._standing(seen, arrival))
         self._sections.append(section)
         return Fitted(section, self._standing(seen, arrival), tuple(self._sections))
+
+    def _course(self) -> AnyCourse:
+        """Begun with the first slice: before that a scan's plan may not be there to say its layout.
+
+        Raises
+        ------
+        ValueError
+            The scan was taken otherwise than the settings say, or can say.
+        """
+        if self._begun is None:
+            settings = laid_out(self._settings, self._source.layout(), self._source.name)
+            self._begun = settings.course()
+        return self._begun
 
     def _standing(self, seen: float, arrival: Arrival | None) -> Standing:
         """How far it is. A slice that was there before the beginning has not waited for us."""
@@ -168,7 +217,7 @@ class _Run:
     def _result(self) -> Result:
         self._clock.to("sections")
         gathered = self._gathered()
-        done = self._course.finish(self._skipped, _REMEDY)
+        done = self._course().finish(self._skipped, _REMEDY)
         self._clock.to("comparison")
         self._progress("comparison", 0, 1)
         deviation = compare_to_mesh(

@@ -19,7 +19,15 @@ from loftscan.methods import Method
 from loftscan.progress import Progress, silent
 from loftscan.reconstructing import Settings, reconstruct_with
 from loftscan.result import Result
-from loftscan.scans import GivenSlices, GivenSweeps, Source, Sweeps, is_scan
+from loftscan.scans import (
+    GivenSlices,
+    GivenSweeps,
+    Source,
+    Sweeps,
+    given_sweeps,
+    is_scan,
+    kind_of_layout,
+)
 from loftscan.streaming import finish, stream
 from loftscan.updates import Update
 from loftscan.warming import warm_up
@@ -76,7 +84,8 @@ def reconstruct(
     layout
         Of ``"fit"``: how the slices lie. ``"rings"`` are closed sections over one another,
         ``"stripes"`` open ones side by side, ``"meridians"`` open ones about an axis; ``"auto"``:
-        as they show themselves. A cloud is cut in meridians only when asked for.
+        as a scan's plan says, or as they show themselves. A cloud is cut in meridians only when
+        asked for.
     axis_at_mm
         Where the axis of a cloud's meridians stands, (x, y) for ``axis="z"``; by default (0, 0) if
         the cloud lies around it, else its middle.
@@ -183,7 +192,7 @@ def reconstruct_stream(
         layout=Layout(layout),
         cleanup=CleanupSettings(remesh_edge_mm=remesh_edge_mm, decimate_to_faces=decimate_to_faces),
     )
-    slices = _coming(source, kinematics, patience_s)
+    slices = _coming(source, kinematics, patience_s, settings.layout)
     return stream(slices, settings, name=name, progress=progress, prepare=warm_up)
 
 
@@ -191,13 +200,15 @@ def _coming(
     source: Path | str | Sweeps | Iterable[Slice] | Iterable[Sweep],
     kinematics: Kinematics | None,
     patience_s: float,
+    layout: Layout,
 ) -> Source:
     if isinstance(source, (str, Path)):
         return FollowedScan(Path(source), patience_s=patience_s)
     if isinstance(source, Sweeps):
-        return GivenSweeps(source, source.kinematics, source.total)
+        return given_sweeps(source)
     if kinematics is not None:
-        return GivenSweeps(source, kinematics, _length(source))  # type: ignore[arg-type] # told so
+        kind = kind_of_layout(layout)
+        return GivenSweeps(source, kinematics, _length(source), kind=kind)  # type: ignore[arg-type] # told so
     return GivenSlices(source, _length(source))  # type: ignore[arg-type] # checked as they come
 
 
@@ -206,7 +217,7 @@ def _slices_in(source: object) -> Source | None:
     if isinstance(source, (str, Path)):
         return KeptScan(ScanFolder.open(Path(source))) if is_scan(source) else None
     if isinstance(source, Sweeps):
-        return GivenSweeps(source, source.kinematics, source.total)
+        return given_sweeps(source)
     listed = isinstance(source, (list, tuple)) and all(
         isinstance(each, Slice) for each in source[:1]
     )

@@ -6,12 +6,15 @@ on a fresh machine half a minute. Waiting for the first slice is the time to do 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from loftscan.gathering import Intake, coverage
 from loftscan.reconstructing import Settings
 from loftscan.scans import Arrival, corners_of
 from reconstruction.course import OF_A_CLOUD, run_course
+from reconstruction.skinning.layout import Layout
 from reconstruction.slices import Frame, Slice
 
 _RINGS = 3  # a surface of two has no net to lay over the one between
@@ -26,7 +29,8 @@ def warm_up(settings: Settings | None = None) -> None:
     intake = Intake(None)
     pieces = [intake.take(Arrival(_ring(index), np.zeros(6, np.int64))) for index in range(_RINGS)]
     coverage(pieces[0])
-    for _ in run_course(pieces, (settings or Settings()).course(), OF_A_CLOUD):
+    course = replace(settings or Settings(), layout=Layout.AUTO).course()  # rings are rings
+    for _ in run_course(pieces, course, OF_A_CLOUD):
         pass
 
 

@@ -23,6 +23,7 @@ from sim.artefacts import ARTEFACTS, CERTIFICATES
 from sim.axes import StageFamily, TableFamily
 from sim.cabling import Cabling
 from sim.crooked import Crookedness
+from sim.cuts import Cut, mounting_for
 from sim.faults import FAULTS, Speaker, parse_faults
 from sim.lasers import LaserWiring
 from sim.parts import PARTS, find_part
@@ -89,6 +90,8 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
         stage_family=StageFamily(wanted.stage),
         profiler_family=ProfilerFamily(wanted.profiler),
         laser=_laser_of(wanted),
+        cut=Cut(wanted.cut),
+        mounting=mounting_for(Cut(wanted.cut), part),
         crooked=Crookedness() if wanted.crooked else None,
     )
     files = _files(wanted, folder)
@@ -200,7 +203,9 @@ def _parser() -> argparse.ArgumentParser:
     profilers = [each.value for each in ProfilerFamily]
     default = normal.profiler_family.value
     option("--profiler", choices=profilers, default=default, help="family of what measures")
-    option("--rings", type=_count_from(1), default=PLAN_RINGS, help="of plan.toml")
+    cuts = [each.value for each in Cut]
+    option("--cut", choices=cuts, default=normal.cut.value, help="what the station's slices are")
+    option("--rings", type=_count_from(1), default=PLAN_RINGS, help="slices of plan.toml")
     option("--stops", type=_count_from(3), default=PLAN_STOPS, help="of the table, in each ring")
     option("--faults", default="", metavar="NAME,NAME=N", help="what is wrong; --list names all")
     wirings = [each.value for each in LaserWiring]

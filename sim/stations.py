@@ -32,6 +32,7 @@ from sim.axes import (
 )
 from sim.cabling import Cabling
 from sim.crooked import CrookedBench, Crookedness
+from sim.cuts import Cut, kinematics_toml, meridian_toml, standing, stripe_toml
 from sim.device import Device, ModbusUnit
 from sim.faults import Breath, Faults, Silent, Speaker
 from sim.grbl import GrblBoard
@@ -94,6 +95,7 @@ class Layout:
     stage_baud: int = 115200
     watchdog_s: float = 0.25
     laser: LaserWiring = LaserWiring.TURCK
+    cut: Cut = Cut.RINGS
     crooked: Crookedness | None = None  # stands otherwise than its station.toml says
     profiler_port: int = 0  # of each port, 0 is any that is free
     profiles_port: int = 0
@@ -122,6 +124,8 @@ class Layout:
     def reach_mm(self) -> float:
         """How far from the table's axis a part is still seen from all sides."""
         standoff_mm = self.mounting.standoff_mm
+        if self.cut is not Cut.RINGS:
+            return standoff_mm - self.sensor.near_mm
         aside_mm = standoff_mm * self.sensor.steepest - abs(self.mounting.side_mm)
         return min(standoff_mm - self.sensor.near_mm, aside_mm)
 
@@ -247,13 +251,20 @@ def station_toml(layout: Layout, addresses: Addresses, part_name: str) -> str:
         kinematics_say="what a ruler could tell" if layout.crooked else "as simulated, exactly",
         sensor_x=mounting.hand.name.lower(),
         azimuth_deg=round(math.degrees(mounting.azimuth_rad), 9),
+        upright=kinematics_toml(layout.cut),
     )
 
 
 def plan_toml(
     layout: Layout, part: Part, *, rings: int = PLAN_RINGS, stops: int = PLAN_STOPS
 ) -> str:
-    """Write a plan.toml whose rings lie equidistant from a part's foot to its top."""
+    """Write a plan.toml whose slices lie equidistant over the part: rings from foot to top."""
+    if layout.cut is Cut.MERIDIANS:
+        pattern = meridian_toml(layout.mounting, layout.sensor, part, rings)
+        return _OTHER_PLAN.format(cut="Meridians", part=part.name, pattern=pattern)
+    if layout.cut is Cut.STRIPES:
+        pattern = stripe_toml(layout.mounting, part, rings)
+        return _OTHER_PLAN.format(cut="Stripes", part=part.name, pattern=pattern)
     height_mm = float(part.vertices_mm[:, 2].max())
     step_mm = height_mm / rings
     ends_mm = [
@@ -294,8 +305,8 @@ def _world(layout: Layout, part: Part, witness: Witness, pace: Pace) -> World:
     )
     return World(
         OpticalBench(part, layout.optics)
-        if layout.crooked is None
-        else CrookedBench(part, layout.optics, layout.crooked),
+        if (stands := standing(layout.cut, layout.crooked)) is None
+        else CrookedBench(part, layout.optics, stands),
         WorldAxis("table", table, pace, witness),
         WorldAxis("stage", stage, pace, witness),
         pace,
@@ -354,7 +365,7 @@ standoff_mm = {mounting.standoff_mm}
 side_mm = {mounting.side_mm}
 sensor_x = "{sensor_x}"
 azimuth_deg = {azimuth_deg}
-"""
+{upright}"""
 
 _PLAN = """\
 # Rings over the whole height of the part {part}; positions are the stage's own, in mm.
@@ -364,6 +375,16 @@ first_mm = {first_mm}
 last_mm = {last_mm}
 step_mm = {step_mm}
 profiles_per_turn = {stops}
+
+[step_and_shoot]
+settle_s = 0.0  # the simulated axes do not swing after they have stopped
+profiles_per_stop = 1
+"""
+
+_OTHER_PLAN = """\
+# {cut} of the part {part}; positions are the stage's own, in mm.
+
+{pattern}
 
 [step_and_shoot]
 settle_s = 0.0  # the simulated axes do not swing after they have stopped

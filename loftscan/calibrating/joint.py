@@ -37,6 +37,7 @@ _SIGMAS = 8.0  # of the noise: points within are an element's
 _LEAST_WITHIN_MM = 0.1
 _TRIES = 3
 _ROUGH_POINTS = 5_000
+_MOST_ROLL = 0.5  # its sine
 _MOST_POINTS = 60_000
 
 
@@ -106,6 +107,7 @@ def calibrate(
     CalibrationRefused
         An element is not found, the spacings do not fit: one line, with the remedy.
     """
+    must_be_level(nominal)
     whole = len(seen)
     if whole == 0:
         raise CalibrationRefused(
@@ -121,6 +123,21 @@ def calibrate(
     held = spacings_of(artefact, held_out=False)
     solution = _finished(seen, solution, held)
     return Calibrated(solution, judge(solution), focused, check(solution, artefact), whole)
+
+
+def must_be_level(nominal: Kinematics) -> None:
+    """Refuse a station whose sheet stands upright: its artefact is not found in what it saw.
+
+    Raises
+    ------
+    CalibrationRefused
+    """
+    if abs(math.sin(math.radians(nominal.roll_deg))) > _MOST_ROLL:
+        raise CalibrationRefused(
+            f"calibration: the sheet stands upright (roll_deg = {nominal.roll_deg:g}), and only"
+            " stations with a level sheet are solved; measure [kinematics] by hand and scan with"
+            ' --override "why", or calibrate with the sensor turned level'
+        )
 
 
 def _found(seen: Seen, start: Kinematics, artefact: Artefact, seed: int) -> Solution:

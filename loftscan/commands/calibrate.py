@@ -49,12 +49,15 @@ def calibrate(
 
     def work() -> None:
         from loftscan.calibrating.artefact import read_artefact
+        from loftscan.calibrating.joint import must_be_level
         from loftscan.station_files import station_of
 
         settings, what = station_of(station), read_artefact(artefact)
         where = out or station.parent / settings.calibration.file
         folder = report or where.with_name(f"{where.stem}-report")
         folders = [*(scan or ())]
+        if not check:
+            must_be_level(settings.kinematics)  # before an artefact is scanned for nothing
         if plan is not None:
             folders.append(_taken(station, plan, where, attended=attended))
         if not folders:

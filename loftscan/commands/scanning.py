@@ -141,7 +141,7 @@ def _tell_the_end(here: Prospect, files: str, teller: ScanTeller) -> None:
     if not missing:
         teller.done(here)
         return
-    count = here.plan.ring.count
+    count = here.plan.count
     teller.paused(here, count - len(missing))
     fail(
         3,
@@ -178,7 +178,7 @@ def _telling_how_to_resume(here: Prospect, files: str, teller: ScanTeller) -> It
         if isinstance(error, ZeroLost):
             error.add_note("--at-zero says so")
         elif (here.out / "scan.json").exists():
-            count, kept = here.plan.ring.count, len(ScanFolder(here.out).indices())
+            count, kept = here.plan.count, len(ScanFolder(here.out).indices())
             error.add_note(
                 f"{kept} of {count} slices are kept, go on with: loftscan scan {files}"
                 f" --out {here.out} --resume"
