@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from acquisition.adaptive_plan import Adaptive
 from acquisition.patterns import (
     MOST_SLICES,
     Meridian,
@@ -98,6 +99,9 @@ class Plan:
     meridian: Annotated[Meridian | None, Key("where: an upright sheet, and the table turns")] = None
     stripe: Annotated[Stripe | None, Key("where: the stage moves along, the table stands")] = None
     step_and_shoot: Annotated[StepAndShoot, Key("how: stop, settle, measure")]
+    adaptive: Annotated[
+        Adaptive | None, Key("which rings: chosen on the way; ring.step_mm is the least way")
+    ] = None
 
     def __post_init__(self) -> None:
         given = [kind.value for kind in SliceKind if getattr(self, kind.value) is not None]
@@ -105,6 +109,13 @@ class Plan:
             raise ValueError("ring is missing; add a [ring] table, or [meridian], or [stripe]")
         if len(given) > 1:
             raise ValueError(f"{given[1]}: stands beside [{given[0]}]; a plan has one of them")
+        if self.adaptive is not None:
+            if self.ring is None:
+                raise ValueError(f"adaptive: chooses among rings; replace [{given[0]}] by [ring]")
+            try:
+                self.adaptive.coarse(self.ring.count, self.ring.step_mm)
+            except ValueError as bad:
+                raise ValueError(f"adaptive.{bad}") from bad
 
     @property
     def kind(self) -> SliceKind:
@@ -119,8 +130,20 @@ class Plan:
 
     @property
     def count(self) -> int:
-        """How many slices."""
+        """How many slices; of an adaptive plan: places for them."""
         return self.pattern.count
+
+    @property
+    def most(self) -> int:
+        """How many slices there will be at most."""
+        return self.count if self.adaptive is None else min(self.adaptive.most_slices, self.count)
+
+    @property
+    def first_indices(self) -> tuple[int, ...] | range:
+        """The slices that are certain before anything is known: all, or the coarse ones."""
+        if self.adaptive is None or self.ring is None:
+            return range(self.count)
+        return self.adaptive.coarse(self.ring.count, self.ring.step_mm)
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,10 +247,10 @@ def check_plan(plan: Plan, station: Station, name: str = "plan.toml") -> None:
 
 def estimate(plan: Plan, station: Station) -> Estimate:
     """Tell how long a plan takes at least and how many bytes it keeps at most."""
-    slices, reach = plan.count, plan.pattern.reach
+    slices, reach = plan.most, plan.pattern.reach
     stops = slices * plan.pattern.stops
     profiles = stops * plan.step_and_shoot.profiles_per_stop
-    turning_s = reach.turned_deg / station.table.speed_deg_s
+    turning_s = reach.turned_deg * slices / plan.count / station.table.speed_deg_s
     lifting_s = reach.lifted_mm / station.stage.speed_mm_s
     standing_s = stops * plan.step_and_shoot.settle_s + profiles / station.profiler.rate_hz
     points = profiles * station.profiler.points_per_profile

@@ -16,30 +16,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
 
-from reconstruction.arrays import FloatArray, frozen
+from reconstruction.arrays import BoolArray, FloatArray, frozen
 from reconstruction.distances import polygon_distances
 from reconstruction.fitting.curve import FittedCurve
 from reconstruction.skinning.drawing import SliceOutlines
 from reconstruction.slices import Frame
 
+SHARE = 98.0  # percent of the places are within what is called a section's error
+_SIGMAS = 2.33  # of a normal distribution 98 % lie within so many
 _CORNERS = 360  # of the polygon that stands for a contour
-_PLACES = 400  # of a section that are foretold
-_SHARE = 98.0  # percent: a section's error is what so many of its places are within
-_SIGMAS = 2.33  # so far from 0 lie 98 % of a normal distribution's places
-_EDGE_NODES = 2  # sections to either side: a cubic where there are so many
+_PLACES = 400  # of a contour that are foretold
+_FINE = 1600  # steps by which a contour's length is told
+_NODES = 2  # sections to either side: a cubic where there are so many
 
 
 class Kind(Enum):
     """What a slice shows of the part."""
 
-    SECTION = "a section"
+    SECTION = "contours"
     UNCLEAR = "points in no contour"  # such as a slice along a level top
     NOTHING = "nothing"
+    UNREAD = "its file is damaged"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,11 +50,12 @@ class Level:
 
     height_mm: float
     kind: Kind
-    loops_mm: tuple[FloatArray, ...]  # (m, 2) each, material on the left
-    places_mm: FloatArray  # (n, 2) evenly along them, where points were measured
-    noise_mm: float  # one standard deviation of the contours
-    holes: int
-    gap_share: float  # of the contours' length
+    loops_mm: tuple[FloatArray, ...] = ()  # (m, 2) each, material on the left
+    # (n, 2) evenly along them, where points were measured
+    places_mm: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    noise_mm: float = 0.0  # one standard deviation of the contours
+    holes: int = 0  # of the contours
+    gap_share: float = 0.0  # of their places, where nothing was measured
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "loops_mm", tuple(frozen(each) for each in self.loops_mm))
@@ -60,30 +63,80 @@ class Level:
 
     @property
     def topology(self) -> tuple[int, int]:
-        """How many contours around material there are, and how many around holes."""
+        """How many contours there are around material, and how many around holes."""
         return len(self.loops_mm) - self.holes, self.holes
 
 
-def level_of(drawn: SliceOutlines, plane: Frame) -> Level:
-    """What one slice says, its contours laid into a plane that all slices share."""
-    height_mm = float((drawn.frame.origin_mm - plane.origin_mm) @ plane.axes[2])
+@dataclass(frozen=True, slots=True)
+class Miss:
+    """How far a measured section lies from what its neighbours foretell; noise is taken off."""
+
+    linear_mm: float  # by the two beside it
+    cubic_mm: float  # by two on either side, where there are so many
+    nodes_mm: tuple[float, ...]  # heights of those
+
+
+def level_of(drawn: SliceOutlines, plane: Frame, height_mm: float) -> Level:
+    """What one slice says, its contours laid into the plane that all slices share.
+
+    Parameters
+    ----------
+    height_mm
+        Along the plane's normal; slices without a point have none of their own.
+    """
     if not drawn.outlines:
-        kind = Kind.UNCLEAR if drawn.unresolved else Kind.NOTHING
-        return Level(height_mm, kind, (), np.empty((0, 2)), 0.0, 0, 0.0)
-    loops, places, variances, gaps = [], [], [], []
+        return Level(height_mm, Kind.UNCLEAR if drawn.unresolved else Kind.NOTHING)
+    loops, places, variances, missing = [], [], [], []
     for each in drawn.outlines:
-        u, weights = _evenly(each.fitted)
-        loops.append(_laid(each.fitted(np.linspace(0.0, 1.0, _CORNERS, endpoint=False)), drawn, plane))
-        measured = ~_in_gaps(each.fitted, u)
-        places.append(_laid(each.fitted(u[measured]), drawn, plane))
-        variances.append(each.fitted.deviation_mm(u[measured]) ** 2)
-        gaps.append(1.0 - measured.mean())
-    noise_mm = math.sqrt(float(np.median(np.concatenate(variances)))) if sum(map(len, variances)) else 0.0
-    holes = sum(each.hole for each in drawn.outlines)
+        corners = each.fitted(np.linspace(*each.fitted.domain, _CORNERS, endpoint=False))
+        loops.append(_laid(corners, drawn.frame, plane))
+        u = _evenly(each.fitted)
+        gap = _in_gaps(each.fitted, u)
+        places.append(_laid(each.fitted(u[~gap]), drawn.frame, plane))
+        variances.append(each.fitted.deviation_mm(u[~gap]) ** 2)
+        missing.append(gap)
+    known = np.concatenate(variances)
     return Level(
-        height_mm, Kind.SECTION, tuple(loops), np.concatenate(places), noise_mm, holes,
-        float(np.mean(gaps)),
-    )  # fmt: skip
+        height_mm,
+        Kind.SECTION,
+        tuple(loops),
+        np.concatenate(places),
+        math.sqrt(float(np.median(known))) if len(known) else 0.0,
+        sum(each.hole for each in drawn.outlines),
+        float(np.concatenate(missing).mean()),
+    )
+
+
+def missed(levels: Sequence[Level], at: int) -> Miss:
+    """Foretell section `at` from those around it, each of the same contours."""
+    here = levels[at]
+    around = [k for k in range(at - _NODES, at + _NODES + 1) if 0 <= k < len(levels) and k != at]
+    seen = {k: signed_distances(here.places_mm, levels[k]) for k in around}
+    lean = (seen[at + 1] - seen[at - 1]) / (levels[at + 1].height_mm - levels[at - 1].height_mm)
+    across = np.sqrt(1.0 + lean**2)
+
+    def error_mm(chosen: Sequence[int]) -> float:
+        weights = weights_at(here.height_mm, [levels[k].height_mm for k in chosen])
+        foretold = weights @ np.stack([seen[k] for k in chosen])
+        noises = [w * levels[k].noise_mm for w, k in zip(weights, chosen, strict=True)]
+        apart_mm = float(np.percentile(np.abs(foretold) / across, SHARE))
+        return _less(apart_mm, _SIGMAS * math.hypot(here.noise_mm, *noises))
+
+    if not len(here.places_mm):
+        return Miss(0.0, 0.0, tuple(levels[k].height_mm for k in around))
+    return Miss(
+        error_mm([at - 1, at + 1]),
+        error_mm(around),
+        tuple(levels[k].height_mm for k in around),
+    )
+
+
+def jump_mm(low: Level, high: Level) -> float:
+    """How far two sections lie from each other, in space: never farther than their heights."""
+    rise = high.height_mm - low.height_mm
+    both = [signed_distances(low.places_mm, high), signed_distances(high.places_mm, low)]
+    apart = np.abs(np.concatenate(both))
+    return float(np.percentile(apart * rise / np.hypot(apart, rise), SHARE)) if len(apart) else rise
 
 
 def signed_distances(places_mm: FloatArray, level: Level) -> FloatArray:
@@ -98,73 +151,35 @@ def signed_distances(places_mm: FloatArray, level: Level) -> FloatArray:
 def weights_at(height_mm: float, nodes_mm: Sequence[float]) -> FloatArray:
     """Lagrange's weights (k,) of nodes at a height."""
     nodes = np.asarray(nodes_mm, np.float64)
-    return np.array(
-        [
-            np.prod((height_mm - np.delete(nodes, k)) / (node - np.delete(nodes, k)))
-            for k, node in enumerate(nodes)
-        ]
-    )
+    others = [np.delete(nodes, k) for k in range(len(nodes))]
+    ratios = [(height_mm - rest) / (at - rest) for at, rest in zip(nodes, others, strict=True)]
+    return np.array([np.prod(each) for each in ratios])
 
 
 def reach(height_mm: float, nodes_mm: Sequence[float]) -> float:
-    """Product of a height's distances from nodes: what the error of a polynomial grows with."""
+    """Product of a height's distances from nodes: what a polynomial's error grows with."""
     return float(np.prod(np.abs(height_mm - np.asarray(nodes_mm))))
 
 
-@dataclass(frozen=True, slots=True)
-class Miss:
-    """How far a measured section lies from what its neighbours foretell of it."""
-
-    linear_mm: float  # by the two beside it
-    cubic_mm: float  # by two on either side, where there are so many
-    noise_mm: float  # of the comparison
-    nodes_mm: tuple[float, ...]  # heights that the cubic came from
+def _less(whole_mm: float, noise_mm: float) -> float:
+    return math.sqrt(max(0.0, whole_mm**2 - noise_mm**2))
 
 
-def missed(levels: Sequence[Level], at: int) -> Miss:
-    """Foretell section `at` from its neighbours, which must be sections, too."""
-    here = levels[at]
-    around = [k for k in range(at - _EDGE_NODES, at + _EDGE_NODES + 1) if 0 <= k < len(levels)]
-    nodes = [k for k in around if k != at]
-    seen = {k: signed_distances(here.places_mm, levels[k]) for k in nodes}
-    low, high = levels[at - 1], levels[at + 1]
-    lean = (seen[at + 1] - seen[at - 1]) / (high.height_mm - low.height_mm)
-    across = np.sqrt(1.0 + lean**2)
-
-    def error_mm(chosen: Sequence[int]) -> tuple[float, float]:
-        weights = weights_at(here.height_mm, [levels[k].height_mm for k in chosen])
-        foretold = sum(w * seen[k] for w, k in zip(weights, chosen, strict=True))
-        apart = float(np.percentile(np.abs(foretold) / across, _SHARE))
-        noise = math.hypot(here.noise_mm, *(w * levels[k].noise_mm for w, k in zip(weights, chosen, strict=True)))
-        return math.sqrt(max(0.0, apart**2 - (_SIGMAS * noise) ** 2)), noise
-
-    linear, noise = error_mm([at - 1, at + 1])
-    cubic, _ = error_mm(nodes)
-    return Miss(linear, cubic, noise, tuple(levels[k].height_mm for k in nodes))
+def _laid(points_mm: FloatArray, own: Frame, plane: Frame) -> FloatArray:
+    return np.ascontiguousarray(plane.to_plane(own.to_part(points_mm))[:, :2])
 
 
-def jump_mm(low: Level, high: Level) -> float:
-    """How far two sections lie from each other at most, in space: less than their distance."""
-    rise = high.height_mm - low.height_mm
-    both = [signed_distances(low.places_mm, high), signed_distances(high.places_mm, low)]
-    apart = np.abs(np.concatenate(both))
-    return float(np.percentile(apart * rise / np.hypot(apart, rise), _SHARE)) if len(apart) else rise
-
-
-def _laid(points_mm: FloatArray, drawn: SliceOutlines, plane: Frame) -> FloatArray:
-    return np.ascontiguousarray(plane.to_plane(drawn.frame.to_part(points_mm))[:, :2])
-
-
-def _evenly(fitted: FittedCurve) -> tuple[FloatArray, FloatArray]:
-    fine = np.linspace(0.0, 1.0, 4 * _PLACES + 1)
+def _evenly(fitted: FittedCurve) -> FloatArray:
+    """Parameters (n,) of a closed curve at equal steps along it."""
+    fine = np.linspace(*fitted.domain, _FINE + 1)
     steps = np.linalg.norm(np.diff(fitted(fine), axis=0), axis=1)
     length = np.concatenate([[0.0], steps.cumsum()])
-    at = np.linspace(0.0, length[-1], _PLACES, endpoint=False)
-    return np.interp(at, length, fine), length
+    return np.interp(np.linspace(0.0, length[-1], _PLACES, endpoint=False), length, fine)
 
 
-def _in_gaps(fitted: FittedCurve, u: FloatArray) -> FloatArray:
-    inside = np.zeros(len(u), bool)
-    for start, end in fitted.gap_intervals:
-        inside |= ((u >= start) & (u <= end)) | (u + 1.0 <= end)
+def _in_gaps(fitted: FittedCurve, u: FloatArray) -> BoolArray:
+    start, end = fitted.domain
+    inside = np.zeros(len(u), np.bool_)
+    for low, high in fitted.gap_intervals:
+        inside |= ((u >= low) & (u <= high)) | (u + end - start <= high)
     return inside

@@ -130,9 +130,9 @@ def _open_rows(
 
 
 def _spread(rows: FloatArray) -> IntArray:
-    """Which of rows at v (k,) a spline is led through: the ends, and none within a span of another.
+    """Which rows at v (k,) a spline is led through: the ends, and none within a span of another.
 
-    Several rows in one span decide its cubic by their noise, and it sways over the rest of the span.
+    Several in one span decide its cubic by their noise, and it sways over the rest of the span.
     """
     kept = [0]
     for row in range(1, len(rows) - 1):
