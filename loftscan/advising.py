@@ -15,7 +15,7 @@ from acquisition.scanfile import POLL_S, ScanFolder
 from acquisition.slice_request import SliceRequest, write_request
 from loftscan.gathering import find_strays
 from loftscan.scans import Absent, Piece
-from reconstruction.adaptive import Kind, Level, choose, level_of, spans_between
+from reconstruction.adaptive import Kind, Level, choose, expected_mm, level_of, spans_between
 from reconstruction.fitting.curve import Exact
 from reconstruction.skinning.drawing import draw_outlines
 from reconstruction.slices import Frame, Slice
@@ -85,15 +85,14 @@ def answer(
     if all(levels[index].kind is Kind.NOTHING for index in read):
         return SliceRequest(there, None, "no slice shows anything of a part", None)
     spans = spans_between([levels[index] for index in read])
-    choice = choose(spans, read, tolerance_mm, there)
+    choice, whole_mm = choose(spans, read, tolerance_mm, there), expected_mm(spans)
     if choice is not None:
         return SliceRequest(there, choice.position, choice.span.why, choice.span.expected_mm)
-    worst = max(spans, key=lambda span: span.expected_mm)
-    if worst.expected_mm <= tolerance_mm:
-        why = f"the surface between slices is foretold within {worst.expected_mm:.3g} mm"
+    if whole_mm <= tolerance_mm:
+        why = f"98 % of the surface is expected within {whole_mm:.3g} mm"
     else:
-        why = f"no place of the plan is left where it would help ({worst.why})"
-    return SliceRequest(there, None, why, worst.expected_mm)
+        why = f"no place is left where it would help; 98 % are expected within {whole_mm:.3g} mm"
+    return SliceRequest(there, None, why, whole_mm)
 
 
 def _without_strays(piece: Slice) -> Slice:

@@ -27,7 +27,8 @@ from reconstruction.fitting.curve import FittedCurve
 from reconstruction.skinning.drawing import SliceOutlines
 from reconstruction.slices import Frame
 
-SHARE = 98.0  # percent of the places are within what is called a section's error
+SHARE = 98.0  # percent of the places are within what is called an error
+QUANTILES = 50  # stand for the errors of a section's places
 _SIGMAS = 2.33  # of a normal distribution 98 % lie within so many
 _CORNERS = 360  # of the polygon that stands for a contour
 _PLACES = 400  # of a contour that are foretold
@@ -56,6 +57,8 @@ class Level:
     noise_mm: float = 0.0  # one standard deviation of the contours
     holes: int = 0  # of the contours
     gap_share: float = 0.0  # of their places, where nothing was measured
+    length_mm: float = 0.0  # of the contours
+    area_mm2: float = 0.0  # of the material inside
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "loops_mm", tuple(frozen(each) for each in self.loops_mm))
@@ -67,13 +70,18 @@ class Level:
         return len(self.loops_mm) - self.holes, self.holes
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Miss:
-    """How far a measured section lies from what its neighbours foretell; noise is taken off."""
+    """How far a measured section lies from what its neighbours foretell, place by place, sorted.
 
-    linear_mm: float  # by the two beside it
-    cubic_mm: float  # by two on either side, where there are so many
-    nodes_mm: tuple[float, ...]  # heights of those
+    What noise makes of that is taken off.
+    """
+
+    height_mm: float
+    linear_mm: FloatArray  # (QUANTILES,) by the two beside it
+    cubic_mm: FloatArray  # (QUANTILES,) by two on either side, where there are so many
+    beside_mm: tuple[float, float]  # heights of the two
+    nodes_mm: tuple[float, ...]  # and of all
 
 
 def level_of(drawn: SliceOutlines, plane: Frame, height_mm: float) -> Level:
@@ -87,9 +95,12 @@ def level_of(drawn: SliceOutlines, plane: Frame, height_mm: float) -> Level:
     if not drawn.outlines:
         return Level(height_mm, Kind.UNCLEAR if drawn.unresolved else Kind.NOTHING)
     loops, places, variances, missing = [], [], [], []
+    length_mm = area_mm2 = 0.0
     for each in drawn.outlines:
         corners = each.fitted(np.linspace(*each.fitted.domain, _CORNERS, endpoint=False))
         loops.append(_laid(corners, drawn.frame, plane))
+        length_mm += float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).sum())
+        area_mm2 += (-1.0 if each.hole else 1.0) * _area_mm2(corners)
         u = _evenly(each.fitted)
         gap = _in_gaps(each.fitted, u)
         places.append(_laid(each.fitted(u[~gap]), drawn.frame, plane))
@@ -104,6 +115,8 @@ def level_of(drawn: SliceOutlines, plane: Frame, height_mm: float) -> Level:
         math.sqrt(float(np.median(known))) if len(known) else 0.0,
         sum(each.hole for each in drawn.outlines),
         float(np.concatenate(missing).mean()),
+        length_mm,
+        max(area_mm2, 0.0),
     )
 
 
@@ -115,28 +128,36 @@ def missed(levels: Sequence[Level], at: int) -> Miss:
     lean = (seen[at + 1] - seen[at - 1]) / (levels[at + 1].height_mm - levels[at - 1].height_mm)
     across = np.sqrt(1.0 + lean**2)
 
-    def error_mm(chosen: Sequence[int]) -> float:
+    def errors_mm(chosen: Sequence[int]) -> FloatArray:
         weights = weights_at(here.height_mm, [levels[k].height_mm for k in chosen])
         foretold = weights @ np.stack([seen[k] for k in chosen])
         noises = [w * levels[k].noise_mm for w, k in zip(weights, chosen, strict=True)]
-        apart_mm = float(np.percentile(np.abs(foretold) / across, SHARE))
-        return _less(apart_mm, _SIGMAS * math.hypot(here.noise_mm, *noises))
+        noise_mm = _SIGMAS * math.hypot(here.noise_mm, *noises)
+        apart = np.abs(foretold) / across
+        whole_mm = max(float(np.percentile(apart, SHARE)), 1e-300)
+        return quantiles(apart) * (math.sqrt(max(0.0, whole_mm**2 - noise_mm**2)) / whole_mm)
 
+    beside = (levels[at - 1].height_mm, levels[at + 1].height_mm)
+    nodes = tuple(levels[k].height_mm for k in around)
     if not len(here.places_mm):
-        return Miss(0.0, 0.0, tuple(levels[k].height_mm for k in around))
-    return Miss(
-        error_mm([at - 1, at + 1]),
-        error_mm(around),
-        tuple(levels[k].height_mm for k in around),
-    )
+        return Miss(here.height_mm, np.zeros(QUANTILES), np.zeros(QUANTILES), beside, nodes)
+    return Miss(here.height_mm, errors_mm([at - 1, at + 1]), errors_mm(around), beside, nodes)
 
 
-def jump_mm(low: Level, high: Level) -> float:
-    """How far two sections lie from each other, in space: never farther than their heights."""
+def jumps_mm(low: Level, high: Level) -> FloatArray:
+    """How far two sections lie from each other, in space: never farther than their heights.
+
+    (QUANTILES,), sorted.
+    """
     rise = high.height_mm - low.height_mm
     both = [signed_distances(low.places_mm, high), signed_distances(high.places_mm, low)]
     apart = np.abs(np.concatenate(both))
-    return float(np.percentile(apart * rise / np.hypot(apart, rise), SHARE)) if len(apart) else rise
+    return quantiles(apart * rise / np.hypot(apart, rise) if len(apart) else np.array([rise]))
+
+
+def quantiles(values: FloatArray) -> FloatArray:
+    """So many that each stands for the same share of the values."""
+    return np.quantile(values, (np.arange(QUANTILES) + 0.5) / QUANTILES)
 
 
 def signed_distances(places_mm: FloatArray, level: Level) -> FloatArray:
@@ -161,8 +182,9 @@ def reach(height_mm: float, nodes_mm: Sequence[float]) -> float:
     return float(np.prod(np.abs(height_mm - np.asarray(nodes_mm))))
 
 
-def _less(whole_mm: float, noise_mm: float) -> float:
-    return math.sqrt(max(0.0, whole_mm**2 - noise_mm**2))
+def _area_mm2(corners: FloatArray) -> float:
+    x, y = corners.T
+    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
 
 
 def _laid(points_mm: FloatArray, own: Frame, plane: Frame) -> FloatArray:
