@@ -4,11 +4,12 @@ The error inside a span is not known: nobody measured there. What is known is by
 measured section misses what its neighbours foretell. That was a prediction over the two spans
 beside it together; over one of them it is better::
 
-    smooth     the miss of a cubic falls as the product of the distances from its nodes, which are
-               nearer without the leap over the section; but it is not believed to fall to less
-               than an eighth
-    rough      the miss of a straight line falls likewise, but to no less than a half: so it does
-               at an edge between two slices
+    cubic      its miss falls as the product of the distances from its nodes, which are nearer
+               without the leap over the section
+    straight   its miss falls likewise
+
+Neither is believed to fall to less than a half, as at an edge between two slices it does not; the
+better of the two counts.
 
 Where contours part or join, or the part ends, nothing is foretold: the way between the two slices
 is what the surface may be off. Where the plan ends and the part does not, a surface is carried on
@@ -38,8 +39,7 @@ from reconstruction.adaptive.foretelling import (
 )
 from reconstruction.arrays import FloatArray, frozen
 
-_SMOOTH = 1.0 / 8.0
-_ROUGH = 1.0 / 2.0
+_LEAST_SHARE = 0.5  # of a section's miss that is expected in the spans beside it
 _NODES = 2  # sections to either side that foretell one
 _GAPPY = 0.1  # share of a section: with more it foretells nothing ...
 _LESS_GAPPY = 0.5  # ... where its neighbours have less than so much of that
@@ -192,7 +192,7 @@ def _span(levels: Sequence[Level], k: int, misses: dict[int, Miss]) -> Span:
     beside = [_inside(low, high, misses[j]) for j in (k, k + 1) if j in misses]
     if not beside:
         why = "no neighbours foretell it"
-        return Span(k, k + 1, jumps_mm(low, high) * _ROUGH, wall_mm2, why)
+        return Span(k, k + 1, jumps_mm(low, high) * _LEAST_SHARE, wall_mm2, why)
     why = "the shape changes otherwise than its neighbours foretell"
     return Span(k, k + 1, np.max(beside, axis=0), wall_mm2, why, foretold=True)
 
@@ -213,9 +213,9 @@ def _inside(low: Level, high: Level, miss: Miss) -> FloatArray:
     middle_mm = (low.height_mm + high.height_mm) / 2.0
     shorter = reach(middle_mm, (low.height_mm, high.height_mm))
     shorter /= reach(miss.height_mm, miss.beside_mm)
-    rough_mm = miss.linear_mm * max(shorter, _ROUGH)
+    straight_mm = miss.linear_mm * max(shorter, _LEAST_SHARE)
     # In the span the end itself is a node, and the farthest of the others is not needed.
     nodes = sorted(miss.nodes_mm, key=lambda height: abs(height - middle_mm))[:-1]
     shorter = reach(middle_mm, [*nodes, miss.height_mm]) / reach(miss.height_mm, miss.nodes_mm)
-    smooth_mm = miss.cubic_mm * max(shorter, _SMOOTH)
-    return smooth_mm if smooth_mm[-1] < rough_mm[-1] else rough_mm
+    cubic_mm = miss.cubic_mm * max(shorter, _LEAST_SHARE)
+    return cubic_mm if cubic_mm[-1] < straight_mm[-1] else straight_mm
