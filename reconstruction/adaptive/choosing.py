@@ -106,7 +106,8 @@ def expected_mm(spans: Sequence[Span]) -> float:
     areas = np.concatenate([[0.0], *(np.full(QUANTILES, span.area_mm2) for span in spans)])
     order = np.argsort(errors)
     shares = np.cumsum(areas[order]) / max(float(areas.sum()), 1e-300)
-    return float(errors[order][min(np.searchsorted(shares, SHARE / 100.0), len(errors) - 1)])
+    enough = min(int(np.searchsorted(shares, SHARE / 100.0)), len(errors) - 1)
+    return float(errors[order[enough]])
 
 
 def choose(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -184,18 +185,16 @@ def test_a_request_reads_back() -> None:
     "why": value, "expected_mm": value,
 }).encode()))  # fmt: skip
 def test_no_request_crashes_the_reader(data: bytes) -> None:
-    try:
+    with suppress(ValueError):  # anything else fails
         decode_request(data)
-    except ValueError as bad:
-        assert "\n" not in str(bad)
 
 
 def test_a_plan_reads_back_and_says_what_contradicts_itself() -> None:
     text = write_plan(PLAN)
     assert parse_plan(text) == PLAN
-    with pytest.raises(ValueError, match="adaptive.coarse_step_mm: 0.5 is less than ring.step_mm"):
+    with pytest.raises(ValueError, match=r"coarse_step_mm: 0\.5 is less than ring"):
         parse_plan(text.replace("coarse_step_mm = 4.0", "coarse_step_mm = 0.5"))
-    with pytest.raises(ValueError, match="adaptive.most_slices: 4 do not even make the 5"):
+    with pytest.raises(ValueError, match=r"adaptive\.most_slices: 4 do not even make the 5"):
         parse_plan(text.replace("most_slices = 9", "most_slices = 4"))
-    with pytest.raises(ValueError, match="adaptive.tolerance_mm: 0.0 is out of bounds"):
+    with pytest.raises(ValueError, match=r"tolerance_mm: 0\.0 is out of bounds"):
         parse_plan(text.replace("tolerance_mm = 0.1", "tolerance_mm = 0.0"))

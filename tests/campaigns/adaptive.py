@@ -5,7 +5,8 @@
 What chooses is the program (`loftscan.advising`, on slices cut from the true part with noise). What
 judges knows nothing of it: this module cuts the true triangles itself, measures distances to the
 cuts by brute force, interpolates them by cubic splines along the height (scipy), and asks that at
-points all over the true surface. So the figure is what the choice of heights leaves open, without noise:
+points all over the true surface. So the figure is what the choice of heights leaves open, without
+noise:
 
     98 % of the part's surface above the lowest slice lies within the tolerance
 

@@ -1,4 +1,4 @@
-"""The next slice: where sections are not what their neighbours foretell, and where the part ends."""
+"""The next slice: where sections are not as their neighbours foretell, and where the part ends."""
 
 from __future__ import annotations
 
@@ -75,8 +75,9 @@ def test_a_groove_draws_the_slices_to_itself() -> None:
 def test_where_contours_part_the_next_slice_is_between_them() -> None:
     one = ring_level(20.0, 0.0)
     left, right = ring_level(6.0, 10.0), ring_level(6.0, 10.0, 1)
-    loops = (left.loops_mm[0] - [10.0, 0.0], right.loops_mm[0] + [10.0, 0.0])
-    places = np.concatenate([left.places_mm - [10.0, 0.0], right.places_mm + [10.0, 0.0]])
+    aside = np.array([10.0, 0.0])
+    loops = (left.loops_mm[0] - aside, right.loops_mm[0] + aside)
+    places = np.concatenate([left.places_mm - aside, right.places_mm + aside])
     two = Level(10.0, Kind.SECTION, loops, places, left.noise_mm, 0, 0.0, 75.0, 226.0)
     found = choose(spans_between([one, two]), [0, 20], 0.2)
     assert found is not None
