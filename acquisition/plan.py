@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from acquisition.adaptive_plan import Adaptive
 from acquisition.continuous import (
     Continuous,
     check_continuous,
@@ -110,6 +111,9 @@ class Plan:
     stripe: Annotated[Stripe | None, Key("where: the stage moves along, the table stands")] = None
     step_and_shoot: Annotated[StepAndShoot | None, Key("how: stop, settle, measure")] = None
     continuous: Annotated[Continuous | None, Key("how: measure rings while the table turns")] = None
+    adaptive: Annotated[
+        Adaptive | None, Key("which rings: chosen on the way; ring.step_mm is the least way")
+    ] = None
 
     def __post_init__(self) -> None:
         given = [kind.value for kind in SliceKind if getattr(self, kind.value) is not None]
@@ -127,6 +131,13 @@ class Plan:
             raise ValueError(
                 f"continuous: turns for [ring] only, not for [{given[0]}]; use [step_and_shoot]"
             )
+        if self.adaptive is not None:
+            if self.ring is None:
+                raise ValueError(f"adaptive: chooses among rings; replace [{given[0]}] by [ring]")
+            try:
+                self.adaptive.coarse(self.ring.count, self.ring.step_mm)
+            except ValueError as bad:
+                raise ValueError(f"adaptive.{bad}") from bad
 
     @property
     def kind(self) -> SliceKind:
@@ -141,8 +152,20 @@ class Plan:
 
     @property
     def count(self) -> int:
-        """How many slices."""
+        """How many slices; of an adaptive plan: places for them."""
         return self.pattern.count
+
+    @property
+    def most(self) -> int:
+        """How many slices there will be at most."""
+        return self.count if self.adaptive is None else min(self.adaptive.most_slices, self.count)
+
+    @property
+    def first_indices(self) -> tuple[int, ...] | range:
+        """The slices that are certain before anything is known: all, or the coarse ones."""
+        if self.adaptive is None or self.ring is None:
+            return range(self.count)
+        return self.adaptive.coarse(self.ring.count, self.ring.step_mm)
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,12 +272,12 @@ def check_plan(plan: Plan, station: Station, name: str = "plan.toml") -> None:
 
 def estimate(plan: Plan, station: Station) -> Estimate:
     """Tell how long a plan takes at least and how many bytes it keeps at most."""
-    slices, reach = plan.count, plan.pattern.reach
+    slices, reach = plan.most, plan.pattern.reach
     stops = plan.pattern.stops
     lifting_s = reach.lifted_mm / station.stage.speed_mm_s
     if plan.step_and_shoot is not None:
         profiles = slices * stops * plan.step_and_shoot.profiles_per_stop
-        turning_s = reach.turned_deg / station.table.speed_deg_s
+        turning_s = reach.turned_deg * slices / plan.count / station.table.speed_deg_s
         standing_s = slices * stops * plan.step_and_shoot.settle_s
         standing_s += profiles / station.profiler.rate_hz
     else:

@@ -26,9 +26,10 @@ against those kept.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Generator
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from itertools import chain
 
 import numpy as np
 
@@ -123,6 +124,7 @@ def scan(
     stop: StopRequest,
     indices: Collection[int] | None = None,
     again: int | None = None,
+    chosen: Callable[[Callable[[float], None]], Iterator[int]] | None = None,
     part: PartStands = PartStands.ANYWHERE,
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> Generator[Sweep]:
@@ -134,6 +136,9 @@ def scan(
         Of the slices to take, as `ScanFolder.missing` gives them to a resume; all when absent.
     again
         A kept slice, taken and yielded before them, for a comparison; no progress is told of it.
+    chosen
+        Of an adaptive plan, instead of `indices`: called with what waits, it gives each index when
+        the sweep before has been taken away; nothing moves meanwhile and the laser is off.
     part
         Needed to resume with a software zero: the table is homed where it stands.
 
@@ -154,9 +159,15 @@ def scan(
     first = [] if again is None else [again]
     if unknown := [index for index in (*first, *wanted) if index not in whole]:
         raise ValueError(f"plan: it has the slices 0 to {whole[-1]}, no slice {unknown[0]}")
-    taken = [target(plan, index) for index in (*first, *wanted)] if wanted else []
     run = _Scan(station, plan, stop, part, progress)
-    return run.sweeps(taken, len(first), resumed=len(wanted) < len(whole))
+    if chosen is not None:
+        coming = chain(first, chosen(run.pause))
+        return run.sweeps((target(plan, index) for index in coming), len(first), plan.most, None,
+                          resumed=bool(first))  # fmt: skip
+    taken = [target(plan, index) for index in (*first, *wanted)] if wanted else []
+    return run.sweeps(
+        taken, len(first), len(wanted), len(taken) - 1, resumed=len(wanted) < len(whole)
+    )
 
 
 class _Scan:
@@ -176,37 +187,49 @@ class _Scan:
         self._part = part
         self._progress = progress
         self._lease = station.lease
-        self._pause = pausing(self._lease, self._look, station.sleep)
+        self.pause = self._pause = pausing(self._lease, self._look, station.sleep)
         self._patience_s = patience_s(station.settings.profiler)
         self._keeper = Timekeeper()
         self._lost_profiles = 0
         self._lost_in_a_row = 0
 
-    def sweeps(self, wanted: list[Target], known: int, *, resumed: bool) -> Generator[Sweep]:
-        """Take them, the first `known` for comparison; the state machine is told of all."""
+    def sweeps(
+        self, wanted: Iterable[Target], known: int, slices: int, last: int | None, *, resumed: bool
+    ) -> Generator[Sweep]:
+        """Take them, the first `known` for comparison; the state machine is told of all.
+
+        `slices` are told as progress; `last` is the number of the last one, if it is known before.
+        """
         safety = self._station.safety
+        upcoming = enumerate(wanted)
         try:
-            for done, target in enumerate(wanted):
-                if self._stop.wish is Wish.PAUSE or self._is_left_alone():
-                    return
+            while not (self._stop.wish is Wish.PAUSE or self._is_left_alone()):
                 with at_rest_unless_done(self._station):
                     self._look()
+                    done, target = next(upcoming, (0, None))
+                    if target is None:
+                        break
                     if not done:
                         self._prepare(resumed=resumed)
                     elif safety.state is State.PAUSED:
                         resume(self._station, self._pause)
-                    sweep = self._sweep(target, done - known, len(wanted) - known)
-                if done == len(wanted) - 1:
-                    # What this asks for was done with the slice: dark, read back, and standing.
-                    safety.tell(Event.COMPLETE)
-                    safety.tell(Event.STANDS)
+                    sweep = self._sweep(target, done - known, slices)
+                if done == last:
+                    self._complete()
                 given_s = self._station.clock()
                 yield sweep
                 if self._station.clock() - given_s > _SLOW_S and safety.state is State.SCANNING:
                     safety.tell(Event.BACK_PRESSURE, since_s=given_s)
+            if last is None and self._stop.wish is Wish.GO_ON and safety.state is State.SCANNING:
+                self._complete()
         finally:
             if safety.state is State.SCANNING:
                 safety.ask(Event.PAUSE)
+
+    def _complete(self) -> None:
+        # What this asks for was done with the last slice: dark, read back, and standing.
+        self._station.safety.tell(Event.COMPLETE)
+        self._station.safety.tell(Event.STANDS)
 
     def _is_left_alone(self) -> bool:
         """Whether a person was to be there and is not any more."""

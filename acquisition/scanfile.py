@@ -7,11 +7,13 @@
                 slices/000000.npz       one sweep each: whole or not there
                 slices/000007.npz.damaged       set aside, never deleted
                 slices/.ahead-3.part            under work, or to be; nobody reads it
+                choices.jsonl           of an adaptive scan: why each slice (`acquisition.choices`)
                 .lock                   who appends
 
-Completion is the set of indices that are there, never a counter. `ScanFolder` reads, from any
-number of processes; `ScanWriter` appends, from one. `ScanWriter.append` returns when the slice is
-on the disk.
+Completion is the set of indices that are there, never a counter; an adaptive scan, which chooses
+its slices on the way, says besides in choices.jsonl that it wants no more. `ScanFolder` reads, from
+any number of processes; `ScanWriter` appends, from one. `ScanWriter.append` returns when the slice
+is on the disk.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from acquisition.choices import choices_in, is_ended
 from acquisition.durable import (
     name_ahead,
     rename_whole,
@@ -124,7 +127,7 @@ class ScanFolder:
             with storage(self.path, "tidying the folder"):
                 aside = self._tidied()
             writer = ScanWriter(self, lock, record, aside)
-            if self.missing():
+            if not self.is_whole():
                 writer.mark(State.SCANNING)
             undo.pop_all()
         return writer
@@ -157,10 +160,27 @@ class ScanFolder:
         names = (_NAME.fullmatch(each.name) for each in files)
         return tuple(sorted(int(name[1]) for name in names if name))
 
+    def decided(self) -> tuple[int, ...]:
+        """Indices of the slices that are wanted as far as is known, increasing.
+
+        All of the plan's; of an adaptive one the coarse ones, those chosen so far, those there.
+        """
+        plan = self.record().plan
+        wanted = set(plan.first_indices)
+        if plan.adaptive is not None:
+            chosen = {each.index for each in choices_in(self.path) if each.index is not None}
+            wanted |= {index for index in chosen if index < plan.count} | set(self.indices())
+        return tuple(sorted(wanted))
+
     def missing(self) -> tuple[int, ...]:
-        """Indices of the plan that are not there, increasing: what a resumed scan takes."""
+        """Decided indices that are not there, increasing: what a resumed scan takes first."""
         there = set(self.indices())
-        return tuple(index for index in self.record().indices if index not in there)
+        return tuple(index for index in self.decided() if index not in there)
+
+    def is_whole(self) -> bool:
+        """Whether no slice is wanted that is not there."""
+        ended = self.record().plan.adaptive is None or is_ended(self.path)
+        return ended and not self.missing()
 
     def read(self, index: int) -> Sweep:
         """Read one slice.
@@ -189,7 +209,7 @@ class ScanFolder:
             if not has_checksum(self.file(index).read_bytes()):
                 unchecked.append(index)
         there = set(sound)
-        missing = (index for index in self.record().indices if index not in there)
+        missing = (index for index in self.decided() if index not in there)
         return Verification(tuple(sound), tuple(damaged), tuple(missing), tuple(unchecked))
 
     def damage_of(self, index: int) -> str | None:
@@ -205,13 +225,17 @@ class ScanFolder:
     def follow(self, pause: Callable[[float], None], stop: Callable[[], bool]) -> Iterator[Sweep]:
         """Yield the slices in the order of their indices, as they appear.
 
-        Ends when `stop` says so, and after the last slice once scan.json says complete or aborted
-        (what is missing then is left out). Every wait is one call of `pause`, 20 ms.
+        Those of an adaptive scan in the order in which they were taken. Ends when `stop` says so,
+        and after the last slice once scan.json says complete or aborted (what is missing then is
+        left out). Every wait is one call of `pause`, 20 ms.
 
         Raises
         ------
         DamagedSlice, NotAScan
         """
+        if self.record().plan.adaptive is not None:
+            yield from self._follow_chosen(pause, stop)
+            return
         for index in self.record().indices:
             while not self.file(index).exists():
                 if stop():
@@ -224,6 +248,21 @@ class ScanFolder:
                 if stop():
                     return
                 yield self.read(index)
+
+    def _follow_chosen(
+        self, pause: Callable[[float], None], stop: Callable[[], bool]
+    ) -> Iterator[Sweep]:
+        given: set[int] = set()
+        while not stop():
+            ended = self.record().state is not State.SCANNING  # before the look at what is there
+            new = [index for index in self.indices() if index not in given]
+            new.sort(key=lambda index: self.file(index).stat().st_mtime_ns)
+            for index in new:
+                yield self.read(index)
+                given.add(index)
+            if ended and not new:
+                return
+            pause(POLL_S)
 
     def file(self, index: int) -> Path:
         """Where a slice is, or would be."""

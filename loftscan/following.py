@@ -24,6 +24,7 @@ from acquisition.folder_lock import is_locked
 from acquisition.scan_record import ScanRecord, State, calibration_hash
 from acquisition.scanfile import POLL_S, ScanFolder
 from acquisition.settings import as_table
+from loftscan.advising import advise
 from loftscan.scans import Absent, Piece, arrival_of, layout_of_kind
 from reconstruction.skinning.layout import Layout
 
@@ -55,13 +56,13 @@ class KeptScan:
 
     @property
     def total(self) -> int | None:
-        """How many slices the plan has."""
-        return len(self.folder.record().indices)
+        """How many slices the plan has, or chose."""
+        return len(self.folder.decided())
 
     def pieces(self) -> Generator[Piece]:
         """Every slice of the plan, or why it is not there."""
         record = self.folder.record()
-        for index in record.indices:
+        for index in self.folder.decided():
             yield read_piece(self.folder, index, record)
 
     def layout(self) -> Layout:
@@ -93,8 +94,12 @@ class FollowedScan:
 
     @property
     def total(self) -> int | None:
-        """How many slices the plan has; not known before the folder is there."""
-        return len(self._folder.record().indices) if is_begun(self.path) else None
+        """How many slices the plan has; not known before the folder is there, or all are chosen."""
+        if not is_begun(self.path):
+            return None
+        record = self._folder.record()
+        chosen = record.plan.adaptive is None or record.state is State.COMPLETE
+        return len(self._folder.decided()) if chosen else None
 
     def pieces(self) -> Generator[Piece]:
         """The slices as they appear, in the order of their indices.
@@ -107,14 +112,24 @@ class FollowedScan:
         folder = self.appeared()
         record, state = folder.record(), StateWatch(folder)
         writer = WriterWatch(folder.path, self.clock)
-        for index in record.indices:
+        if record.plan.adaptive is not None:
+            # They come in an order of their own; a surface is made from the lowest up, afterwards.
+            advise(
+                folder,
+                lambda index: read_piece(folder, index, record),
+                lambda: state.now() is not State.SCANNING or writer.gone(),
+                self.pause,
+            )
+        for index in folder.decided():
             while not folder.file(index).exists():
                 # After an end the file is looked for once more, by whoever reads it: what the
                 # writer appended before its end is then in the folder.
                 if state.now() is not State.SCANNING or writer.gone():
                     break
                 self.pause(POLL_S)
-            yield _timed(read_piece(folder, index, record), folder.file(index))
+            piece = read_piece(folder, index, record)
+            waited = record.plan.adaptive is None
+            yield _timed(piece, folder.file(index)) if waited else piece
 
     def appeared(self) -> ScanFolder:
         """Wait for the folder.
@@ -209,8 +224,11 @@ def _timed(piece: Piece, file: Path) -> Piece:
 
 
 def how_it_stands(folder: ScanFolder) -> Ending:
-    """Tell whether a scan is over, and how. Complete is what has every slice, whoever says so."""
-    if not folder.missing():
+    """Tell whether a scan is over, and how. Complete is what has every slice, whoever says so.
+
+    Only an adaptive scan's program knows that every slice is there.
+    """
+    if folder.is_whole():
         return Ending.COMPLETE
     # The lock first: a writer says the state before it lets go.
     locked, state = is_locked(folder.path), folder.record().state

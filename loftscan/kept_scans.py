@@ -60,6 +60,12 @@ def plan_in_words(plan: Plan) -> str:
     match plan.pattern:
         case Ring() as rings:
             how = "stops" if plan.continuous is None else "profiles a turn, turning"
+            if plan.adaptive is not None:
+                return (
+                    f"at most {plan.most} rings chosen from {rings.first_mm:g} to"
+                    f" {rings.last_mm:g} mm for {plan.adaptive.tolerance_mm:g} mm,"
+                    f" {rings.profiles_per_turn} {how}"
+                )
             return (
                 f"{rings.count} rings from {rings.first_mm:g} mm by {rings.step_mm:g} mm,"
                 f" {rings.profiles_per_turn} {how}"
@@ -90,25 +96,25 @@ def _described(path: Path) -> KeptScan:
         record = folder.record()
     except NotAScan as bad:
         return KeptScan(path, Standing.DAMAGED, slices=len(indices), bytes=size, trouble=str(bad))
-    missing = [index for index in record.indices if index not in set(indices)]
+    missing = list(folder.missing())
     aside = {each.name[:6] for each in path.glob("slices/*.damaged*")}
     lost = [index for index in missing if f"{index:06d}" in aside]
     return KeptScan(
         path,
-        _standing(path, missing, lost),
+        _standing(path, lost, whole=folder.is_whole()),
         record.created,
         record.station.name,
         plan_in_words(record.plan),
-        len(record.indices) - len(missing),
-        len(record.indices),
+        len(indices),
+        len(indices) + len(missing),
         size,
         f"{len(lost)} slices were damaged and set aside; resume the scan" if lost else "",
     )
 
 
-def _standing(path: Path, missing: list[int], lost: list[int]) -> Standing:
+def _standing(path: Path, lost: list[int], *, whole: bool) -> Standing:
     if is_locked(path):
         return Standing.WRITTEN
     if lost:
         return Standing.DAMAGED
-    return Standing.PAUSED if missing else Standing.WHOLE
+    return Standing.WHOLE if whole else Standing.PAUSED

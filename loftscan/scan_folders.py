@@ -47,8 +47,9 @@ class Prospect:
     out: Path
     resumed: bool
     kept: tuple[int, ...]  # indices that are on the disk already
-    missing: tuple[int, ...]
-    cost: Estimate  # of the missing slices
+    missing: tuple[int, ...]  # as far as they are decided
+    whole: bool  # nothing is left to take
+    cost: Estimate  # of the slices that are left; of an adaptive plan: at most
     free_bytes: int
     in_force: InForce
 
@@ -99,18 +100,20 @@ def prospect(
     held = in_force or InForce(station.kinematics, "station.toml")
     check_sheet(plan, held.kinematics, plan_name)
     kept: tuple[int, ...] = ()
-    missing = tuple(range(plan.count))
+    missing, whole = tuple(plan.first_indices), False
     if resume:
         folder = ScanFolder.open(out)
         _must_be_the_same(folder, station, plan)
         _must_be_calibrated_the_same(folder, held)
         # Damaged slices count as missing: the resume sets them aside and takes them again.
         kept, missing = (found := folder.verify()).sound, found.missing
+        whole = folder.is_whole() and not missing
     else:
         _refuse_rest(out)
-    cost = _share(estimate(plan, station), len(missing))
+    left = len(missing) if plan.adaptive is None or whole else plan.most - len(kept)
+    cost = _share(estimate(plan, station), max(left, len(missing)))
     free_bytes = _room(out, cost.bytes_at_most)
-    return Prospect(station, plan, out, resume, kept, missing, cost, free_bytes, held)
+    return Prospect(station, plan, out, resume, kept, missing, whole, cost, free_bytes, held)
 
 
 def _refuse_rest(out: Path) -> None:
@@ -118,7 +121,7 @@ def _refuse_rest(out: Path) -> None:
         record = ScanFolder.open(out).record()
         count = len(ScanFolder(out).indices())
         raise ValueError(
-            f"{out}: holds a scan already, {count} of {len(record.indices)} slices"
+            f"{out}: holds a scan already, {count} of {record.plan.most} slices"
             f" ({record.state.value}); add --resume to take the rest, or name another --out"
         )
     if out.is_file():

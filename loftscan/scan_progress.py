@@ -99,13 +99,15 @@ class ScanTeller:
                 free_bytes=here.free_bytes,
             )  # fmt: skip
             return
-        if not here.missing:
+        if here.whole:
             self._print(f"{here.out}: all {len(here.kept)} slices are kept already")
             return
         kept = f", {len(here.kept)} are kept already" if here.resumed else ""
+        adaptive = here.plan.adaptive is not None
         self._print(
-            f"{here.out}: {cost.slices} slices{kept}, {cost.profiles} profiles, at least"
-            f" {in_time(cost.seconds_at_least)}, at most {in_bytes(cost.bytes_at_most)}"
+            f"{here.out}: {'at most ' if adaptive else ''}{cost.slices} slices{kept},"
+            f" {cost.profiles} profiles, {'' if adaptive else 'at least '}"
+            f"{in_time(cost.seconds_at_least)}, at most {in_bytes(cost.bytes_at_most)}"
             f" ({in_bytes(here.free_bytes)} free)"
         )
 
@@ -169,10 +171,9 @@ class ScanTeller:
         if sweep.timing is not None:
             self._print(f"slice {sweep.index}: {in_words_timing(sweep.timing)}")
 
-    def done(self, here: Prospect) -> None:
+    def done(self, here: Prospect, slices: int) -> None:
         """Tell that the scan is complete."""
         seconds = self._clock() - self._begun_s
-        slices = here.plan.count
         if self._manner is Manner.JSON:
             out = str(here.out)
             self._say(
@@ -189,7 +190,7 @@ class ScanTeller:
         """Tell that the run ended at a slice's border."""
         if self._manner is Manner.JSON:
             self._say(
-                event="paused", out=str(here.out), kept=kept, slices=here.plan.count,
+                event="paused", out=str(here.out), kept=kept, slices=here.plan.most,
                 **self._frames(),
             )  # fmt: skip
         self.end_line()

@@ -67,8 +67,8 @@ class Scan:
 
     @property
     def total(self) -> int:
-        """How many sweeps there will be, those kept before among them."""
-        return self.plan.count
+        """How many sweeps there will be, those kept before among them; if adaptive, at most."""
+        return self.plan.most
 
     def __iter__(self) -> Self:
         return self
@@ -105,13 +105,15 @@ def scan(
     override: str | None = None,
     progress: Callable[[Progress], None] = lambda _: None,
     compared: Callable[[Closure], None] = lambda _: None,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> Scan:
     """Scan a plan, slice by slice.
 
     Parameters
     ----------
     plan
-        A `acquisition.plan.Plan`, such as ``ring(...)`` makes, or a plan.toml.
+        A `acquisition.plan.Plan`, such as ``ring(...)`` makes, or a plan.toml. An adaptive one
+        needs `out`, and somebody who reconstructs it meanwhile: docs/adaptive.md.
     out
         A .scan folder, new: each sweep is safe on the disk before it is yielded.
     resume
@@ -127,6 +129,8 @@ def scan(
         Told after every stop of the table.
     compared
         Told how a kept slice, taken again by a resume, lies to it.
+    tell
+        Told what a person should know of the choice of slices.
 
     Raises
     ------
@@ -148,6 +152,11 @@ def scan(
         if out is None:
             if resume:
                 raise ValueError("resume needs out, the .scan folder to go on with")
+            if wanted.adaptive is not None:
+                raise ValueError(
+                    f"{name}: adaptive: reconstruction reads the slices from a .scan folder; give"
+                    " out, or a plan without [adaptive]"
+                )
             sweeps = take(station.devices, wanted, stop=stop, part=part, progress=progress)
         else:
             here = prospect(
@@ -157,7 +166,7 @@ def scan(
                 writer = keeping.enter_context(begin(here, station.devices, stop))
             missing = take_missing(
                 station.devices, wanted, writer.folder, stop=stop, part=part,
-                progress=progress, compared=compared,
+                progress=progress, compared=compared, tell=tell,
             )  # fmt: skip
             sweeps = _kept(missing, writer)
         made = Scan(sweeps, wanted, held.kinematics, stop, station.attention, keeping.pop_all())
@@ -185,15 +194,24 @@ def begin(here: Prospect, devices: OpenStation, stop: StopRequest) -> ScanWriter
 
 
 def _kept(taken: Generator[Sweep], writer: ScanWriter) -> Generator[Sweep]:
-    """Every slice of the plan in order: read back where it is kept, else taken and kept."""
+    """Every slice of the plan in order: read back where it is kept, else taken and kept.
+
+    Of an adaptive plan those that are kept come first, and then the others as they are chosen.
+    """
     folder = writer.folder
     missing = set(folder.missing())
+    decided = folder.decided()
+    adaptive = folder.record().plan.adaptive is not None
     with closing(taken):
-        for index in folder.record().indices:
-            if index in missing:
+        for index in decided:
+            if index not in missing:
+                yield folder.read(index)
+            elif not adaptive:
                 sweep = next(taken)
                 writer.append(sweep)
                 yield sweep
-            else:
-                yield folder.read(index)
-    writer.finish(State.COMPLETE)
+        if adaptive:
+            for sweep in taken:
+                writer.append(sweep)
+                yield sweep
+    writer.finish(State.COMPLETE if folder.is_whole() else State.ABORTED)

@@ -205,6 +205,7 @@ def _coming(
     if isinstance(source, (str, Path)):
         return FollowedScan(Path(source), patience_s=patience_s)
     if isinstance(source, Sweeps):
+        _must_be_in_order(source)
         return given_sweeps(source)
     if kinematics is not None:
         kind = kind_of_layout(layout)
@@ -217,6 +218,7 @@ def _slices_in(source: object) -> Source | None:
     if isinstance(source, (str, Path)):
         return KeptScan(ScanFolder.open(Path(source))) if is_scan(source) else None
     if isinstance(source, Sweeps):
+        _must_be_in_order(source)
         return given_sweeps(source)
     listed = isinstance(source, (list, tuple)) and all(
         isinstance(each, Slice) for each in source[:1]
@@ -224,6 +226,16 @@ def _slices_in(source: object) -> Source | None:
     if isinstance(source, Iterator) or listed:
         return GivenSlices(source, _length(source))  # type: ignore[arg-type] # checked as they come
     return None
+
+
+def _must_be_in_order(sweeps: Sweeps) -> None:
+    """Refuse the sweeps of an adaptive scan: they come as they are chosen."""
+    plan = getattr(sweeps, "plan", None)
+    if getattr(plan, "adaptive", None) is not None:
+        raise ValueError(
+            "an adaptive scan: its slices come in no order, and it waits for somebody who follows"
+            " its folder; run `loftscan reconstruct NAME.scan --follow` beside it"
+        )
 
 
 def _length(source: object) -> int | None:

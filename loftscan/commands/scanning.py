@@ -84,7 +84,7 @@ def scan(
                 teller.note(f"calibration overridden: {held.override}")
             part = PartStands.AT_ZERO if at_zero else PartStands.ANYWHERE
             with _telling_how_to_resume(here, f"{station} {plan}", teller):
-                if here.missing:
+                if not here.whole:
                     _take(here, stop, part, teller, logs, _attendance(attended))
                 else:
                     _only_finish(here)
@@ -118,11 +118,11 @@ def _take(
                 teller.note(f"{damage.file}: set aside ({damage.why}); the slice is taken again")
             for sweep in take_missing(
                 devices, here.plan, writer.folder, stop=stop, part=part,
-                progress=teller.stopped_at, compared=teller.compared,
+                progress=teller.stopped_at, compared=teller.compared, tell=teller.note,
             ):  # fmt: skip
                 writer.append(sweep)
                 teller.kept(sweep)
-            writer.finish(State.ABORTED if writer.folder.missing() else State.COMPLETE)
+            writer.finish(State.COMPLETE if writer.folder.is_whole() else State.ABORTED)
 
 
 def _only_finish(here: Prospect) -> None:
@@ -137,15 +137,16 @@ def _only_finish(here: Prospect) -> None:
 def _tell_the_end(here: Prospect, files: str, teller: ScanTeller) -> None:
     from acquisition.scanfile import ScanFolder
 
-    missing = ScanFolder.open(here.out).missing()
-    if not missing:
-        teller.done(here)
+    folder = ScanFolder.open(here.out)
+    kept = len(folder.indices())
+    if folder.is_whole():
+        teller.done(here, kept)
         return
-    count = here.plan.count
-    teller.paused(here, count - len(missing))
+    teller.paused(here, kept)
+    most = "at most " if here.plan.adaptive else ""
     fail(
         3,
-        f"paused: {count - len(missing)} of {count} slices are kept, the laser is off, the axes"
+        f"paused: {kept} of {most}{here.plan.most} slices are kept, the laser is off, the axes"
         f" stand; go on with: loftscan scan {files} --out {here.out} --resume",
     )
 
@@ -178,7 +179,7 @@ def _telling_how_to_resume(here: Prospect, files: str, teller: ScanTeller) -> It
         if isinstance(error, ZeroLost):
             error.add_note("--at-zero says so")
         elif (here.out / "scan.json").exists():
-            count, kept = here.plan.count, len(ScanFolder(here.out).indices())
+            count, kept = here.plan.most, len(ScanFolder(here.out).indices())
             error.add_note(
                 f"{kept} of {count} slices are kept, go on with: loftscan scan {files}"
                 f" --out {here.out} --resume"

@@ -73,9 +73,11 @@ def lay_net(
         rows, places = _open_rows(stations, brims, spans[1])
     creases = np.array(stations.creases, dtype=np.int64) * spans[0] // columns
     along = np.arange(columns) / columns * spans[0]
+    kept = _spread(rows) if through and brims is not None else np.arange(len(rows))
     net = net_through(
-        places, rows, along, spans, brims, creases, closed=(True, brims is None), through=through
-    )
+        places[kept], rows[kept], along, spans, brims, creases,
+        closed=(True, brims is None), through=through,
+    )  # fmt: skip
     own = rows if brims is None else rows[1:-1]
     u = np.concatenate(stations.columns_of_cells()) * (spans[0] / columns)
     v = np.concatenate(_rows_of_cells(outlines, own, spans[1], closed=brims is None))
@@ -125,6 +127,18 @@ def _open_rows(
     places = np.concatenate([low[None], stations.places_mm, high[None]])
     along = np.concatenate([[0.0], strides(places).cumsum()])
     return along / along[-1] * spans, places
+
+
+def _spread(rows: FloatArray) -> IntArray:
+    """Which rows at v (k,) a spline is led through: the ends, and none within a span of another.
+
+    Several in one span decide its cubic by their noise, and it sways over the rest of the span.
+    """
+    kept = [0]
+    for row in range(1, len(rows) - 1):
+        if rows[row] - rows[kept[-1]] >= 1.0 and rows[-1] - rows[row] >= 1.0:
+            kept.append(row)
+    return np.array([*kept, len(rows) - 1])
 
 
 def _closing_rows(stations: Stations, spans: int) -> tuple[FloatArray, FloatArray]:

@@ -51,6 +51,8 @@ class Patches:
 
     def along(self, function: Callable[[FloatArray], FloatArray], ways: FloatArray) -> FloatArray:
         """Derivative of a function of places (k, 3) -> (k, d) along ways (k, 3) at the middles."""
+        if not len(self.middles_mm):  # every cell was thrown out
+            return function(self.middles_mm)
         size = float(np.ptp(self.middles_mm, axis=0).max())
         longest = max(float(np.abs(ways).max()), 1e-300)
         step = _STEP * size / longest
