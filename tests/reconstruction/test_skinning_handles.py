@@ -52,7 +52,7 @@ def test_the_euler_number_is_that_of_parts_cavities_and_rings() -> None:
 
 def naively_simple(around: BoolArray) -> bool:
     """By the definition: one part of it by corners, and one of the rest by faces beside it."""
-    at = np.abs(np.stack(np.indices((3, 3, 3))) - 1).sum(axis=0)
+    at = np.abs(np.indices((3, 3, 3)) - 1).sum(axis=0)
     _, parts = label(around, CORNERS)
     theirs, _ = label(~around & (at > 0) & (at < 3))
     beside = theirs[(at == 1) & (theirs > 0)]
