@@ -121,6 +121,16 @@ class Plan:
             raise ValueError("ring is missing; add a [ring] table, or [meridian], or [stripe]")
         if len(given) > 1:
             raise ValueError(f"{given[1]}: stands beside [{given[0]}]; a plan has one of them")
+        self._check_how(given[0])
+        if self.adaptive is not None:
+            if self.ring is None:
+                raise ValueError(f"adaptive: chooses among rings; replace [{given[0]}] by [ring]")
+            try:
+                self.adaptive.coarse(self.ring.count, self.ring.step_mm)
+            except ValueError as bad:
+                raise ValueError(f"adaptive.{bad}") from bad
+
+    def _check_how(self, where: str) -> None:
         if self.step_and_shoot is None and self.continuous is None:
             raise ValueError(
                 "step_and_shoot is missing; add a [step_and_shoot] table, or a [continuous] one"
@@ -129,15 +139,8 @@ class Plan:
             raise ValueError("continuous: there is [step_and_shoot], too; remove one of them")
         if self.continuous is not None and self.ring is None:
             raise ValueError(
-                f"continuous: turns for [ring] only, not for [{given[0]}]; use [step_and_shoot]"
+                f"continuous: turns for [ring] only, not for [{where}]; use [step_and_shoot]"
             )
-        if self.adaptive is not None:
-            if self.ring is None:
-                raise ValueError(f"adaptive: chooses among rings; replace [{given[0]}] by [ring]")
-            try:
-                self.adaptive.coarse(self.ring.count, self.ring.step_mm)
-            except ValueError as bad:
-                raise ValueError(f"adaptive.{bad}") from bad
 
     @property
     def kind(self) -> SliceKind:
@@ -272,22 +275,31 @@ def check_plan(plan: Plan, station: Station, name: str = "plan.toml") -> None:
 
 def estimate(plan: Plan, station: Station) -> Estimate:
     """Tell how long a plan takes at least and how many bytes it keeps at most."""
-    slices, reach = plan.most, plan.pattern.reach
-    stops = plan.pattern.stops
-    lifting_s = reach.lifted_mm / station.stage.speed_mm_s
-    if plan.step_and_shoot is not None:
-        profiles = slices * stops * plan.step_and_shoot.profiles_per_stop
-        turning_s = reach.turned_deg * slices / plan.count / station.table.speed_deg_s
-        standing_s = slices * stops * plan.step_and_shoot.settle_s
-        standing_s += profiles / station.profiler.rate_hz
-    else:
-        assert plan.continuous is not None  # a plan has one of them
-        profiles = turns_measured(plan.continuous, slices) * stops
-        turning_s = turning_seconds(plan.continuous, slices, stops, station)
-        standing_s = 0.0
+    profiles, turning_s, standing_s = (
+        _stopping(plan, plan.step_and_shoot, station)
+        if plan.step_and_shoot is not None
+        else _turning(plan, plan.continuous or Continuous(), station)
+    )
+    lifting_s = plan.pattern.reach.lifted_mm / station.stage.speed_mm_s
     points = profiles * station.profiler.points_per_profile
-    kept = points * _BYTES_A_POINT + profiles * _BYTES_A_PROFILE + slices * _BYTES_A_SLICE
-    return Estimate(slices, profiles, turning_s + lifting_s + standing_s, kept)
+    kept = points * _BYTES_A_POINT + profiles * _BYTES_A_PROFILE + plan.most * _BYTES_A_SLICE
+    return Estimate(plan.most, profiles, turning_s + lifting_s + standing_s, kept)
+
+
+def _stopping(plan: Plan, how: StepAndShoot, station: Station) -> tuple[int, float, float]:
+    """Profiles, and seconds in turning and in standing."""
+    stops = plan.most * plan.pattern.stops
+    profiles = stops * how.profiles_per_stop
+    turned_deg = plan.pattern.reach.turned_deg * plan.most / plan.count
+    standing_s = stops * how.settle_s + profiles / station.profiler.rate_hz
+    return profiles, turned_deg / station.table.speed_deg_s, standing_s
+
+
+def _turning(plan: Plan, how: Continuous, station: Station) -> tuple[int, float, float]:
+    """The same of a table that is never awaited."""
+    stops = plan.pattern.stops
+    profiles = turns_measured(how, plan.most) * stops
+    return profiles, turning_seconds(how, plan.most, stops, station), 0.0
 
 
 def parse_plan(text: str, name: str = "plan.toml") -> Plan:
