@@ -187,3 +187,15 @@ def test_the_bytes_are_an_upper_bound() -> None:
     kept = len(encode_sweep(sweep(0, profiles=600, points=10)))
     timing = 8 * 1200 + 16 * math.ceil(2 * 390.0 / 60.0 / 0.02) + 4096
     assert 2 * kept + timing <= bound
+
+
+@pytest.mark.parametrize(
+    ("pattern", "kind"),
+    [
+        ("[meridian]\nper_turn = 4\nfirst_mm = 10.0\nlast_mm = 20.0\nstep_mm = 10.0", "meridian"),
+        ("[stripe]\nfirst_mm = 5.0\nlast_mm = 8.0\nstep_mm = 1.0", "stripe"),
+    ],
+)
+def test_only_rings_are_measured_while_the_table_turns(pattern: str, kind: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(f"turns for [ring] only, not for [{kind}]")):
+        parse_plan(f"{pattern}\n[continuous]\n")
