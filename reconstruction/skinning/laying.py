@@ -13,6 +13,7 @@ on beyond the first and the last outline as far as the ends are said to lie.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -32,6 +33,7 @@ _AROUND = 64  # lines along which they are
 _FAINT = 1e-6
 _NEXT_TO_NOTHING = 1e-8
 _NONE = np.empty(0, np.int64)
+_CROWDED_SPANS = 0.5
 _FIRM = 1e3  # weight of an end's own row
 
 
@@ -130,13 +132,16 @@ def _open_rows(
 
 
 def _spread(rows: FloatArray) -> IntArray:
-    """Which rows at v (k,) a spline is led through: the ends, and none within a span of another.
+    """Which rows at v (k,) a spline is led through: both ends, and no three in one span and a half.
 
-    Several in one span decide its cubic by their noise, and it sways over the rest of the span.
+    Several in one span decide its cubic by their noise, and it sways over the rest of the span. An
+    end is half a slice's distance, and so half as far as the others are, from its row.
     """
     kept = [0]
     for row in range(1, len(rows) - 1):
-        if rows[row] - rows[kept[-1]] >= 1.0 and rows[-1] - rows[row] >= 1.0:
+        before = rows[kept[-2]] if len(kept) > 1 else -math.inf
+        alone = min(rows[row] - rows[kept[-1]], rows[-1] - rows[row]) >= _CROWDED_SPANS
+        if alone and min(rows[row] - before, rows[-1] - rows[kept[-1]]) >= 3.0 * _CROWDED_SPANS:
             kept.append(row)
     return np.array([*kept, len(rows) - 1])
 

@@ -32,9 +32,14 @@ def test_rows_that_crowd_in_one_span_do_not_make_the_rest_of_it_sway() -> None:
     assert float(np.sqrt(np.mean(away**2))) < 0.006
 
 
-def test_a_spline_keeps_its_ends_and_leaves_out_what_is_within_a_span() -> None:
+def test_a_spline_keeps_its_ends_and_leaves_out_what_crowds() -> None:
     rows = np.array([0.0, 0.2, 0.9, 1.1, 2.0, 3.5, 4.2, 4.9, 5.0])
-    assert rows[_spread(rows)].tolist() == [0.0, 1.1, 3.5, 5.0]
+    assert rows[_spread(rows)].tolist() == [0.0, 0.9, 2.0, 3.5, 4.2, 5.0]
+
+
+def test_a_spline_through_even_rows_leaves_out_none() -> None:
+    rows = np.array([0.0, 0.75, 2.25, 3.75, 5.25, 6.0])  # ends half a slice's distance away
+    assert len(_spread(rows)) == 6
 
 
 def test_a_shape_that_threw_out_every_cell_has_no_derivative_and_is_no_error() -> None:
