@@ -153,7 +153,7 @@ def test_points_that_were_lost_on_the_wire_are_told_at_the_end() -> None:
         text = io.StringIO()
         teller = ScanTeller(text, manner, KINEMATICS, StopRequest(), clock=lambda: 0.0)
         teller.kept(Sweep(0, (torn, made([0.0], [9.0]), torn), (Pose(0.0, 0.0, 0.0),) * 3))
-        teller.done(here, 3)
+        teller.done(here, here.plan.count)
         said[manner] = text.getvalue().splitlines()[-1]
     assert said[Manner.LINES].startswith("warning: 2 profiles are kept with 4 points lost between")
     end = json.loads(said[Manner.JSON])
@@ -167,7 +167,7 @@ def test_frames_that_were_dropped_on_their_way_are_told_at_the_end() -> None:
             text = io.StringIO()
             teller = ScanTeller(text, manner, KINEMATICS, StopRequest(), clock=lambda: 0.0)
             teller.stopped_at(Progress(1, 1, 2, 3, 3, 0, tally))
-            teller.done(here, 3)
+            teller.done(here, here.plan.count)
             lines = text.getvalue().splitlines()
             if manner is Manner.JSON:
                 (end,) = map(json.loads, lines)
