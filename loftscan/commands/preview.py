@@ -32,7 +32,7 @@ def preview(
     json_lines: JsonLines = False,
     debug: Debug = False,
 ) -> None:
-    """Tell what a plan will see, how long it takes and what it keeps; nothing is opened."""
+    """Tell what a plan will see, its time and disk; nothing is opened."""
 
     def work() -> None:
         from loftscan.previewing import parse_region, part_surface

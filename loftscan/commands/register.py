@@ -31,7 +31,7 @@ def register(
     json_lines: JsonLines = False,
     debug: Debug = False,
 ) -> None:
-    """Merge two views of one part: motion, covariance, residuals, merged points."""
+    """Merge two views of one part, as before and after turning it over."""
 
     def work() -> None:
         from loftscan.inputs import Unit

@@ -168,7 +168,7 @@ def table_wire_unit(unit_of_a_radian: float) -> Plant:
         # The driver's own doubts about such a scale are silenced: the simulator is to find it.
         patch.setattr(GrblDriverSettings, "check_steps", lambda *_, **__: None)
         patch.setattr(GrblAxis, "_tolerance", lambda _: 0.05)
-        patch.setattr(GrblAxis, "_feed_per_min", lambda _: 5400.0)
+        patch.setattr(GrblAxis, "_feed_per_min", lambda *_: 5400.0)
 
     return plant
 
