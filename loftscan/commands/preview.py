@@ -32,7 +32,7 @@ def preview(
     json_lines: JsonLines = False,
     debug: Debug = False,
 ) -> None:
-    """Tell what a plan will see, its time and disk; nothing is opened."""
+    """Tell what a plan will see, how long it takes, what it keeps."""
 
     def work() -> None:
         from loftscan.previewing import parse_region, part_surface

@@ -31,7 +31,7 @@ def register(
     json_lines: JsonLines = False,
     debug: Debug = False,
 ) -> None:
-    """Merge two views of one part, as before and after turning it over."""
+    """Merge two views of a part that was turned over."""
 
     def work() -> None:
         from loftscan.inputs import Unit
