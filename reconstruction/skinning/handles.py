@@ -28,6 +28,7 @@ from reconstruction.arrays import BoolArray, FloatArray, IntArray
 
 _LEVELS = 256
 _BOX = np.ones((3, 3, 3), np.int8)
+_MOST = 24  # weak places: more are no slip, and each asks how all hangs together
 _AROUND = 3  # voxels beyond a change
 _AWAY, _FREE, _TAKEN = 0, 1, 2
 
@@ -60,12 +61,14 @@ def without_weak_handles(values: FloatArray, weak: float) -> FloatArray:
     Parameters
     ----------
     weak
-        In the field's unit. What is stronger on both of its sides stays.
+        In the field's unit. What is stronger on both of its sides stays. Where a great many are
+        weak, all stay: it is not by a few handles that such a field is wrong.
     """
     values = values.copy()
     found = [*leftovers(values, inside=True), *leftovers(values, inside=False)]
-    for each in sorted(found, key=lambda one: one.strength):
-        if each.strength < weak:
+    found = sorted((one for one in found if one.strength < weak), key=lambda one: one.strength)
+    if len(found) <= _MOST:
+        for each in found:
             _undo(values, each, weak)
     return values
 
@@ -83,32 +86,33 @@ def leftovers(values: FloatArray, *, inside: bool) -> Iterator[Leftover]:
     levels = np.clip((1.0 - own / own.max()) * (_LEVELS - 1.0), 0.0, _LEVELS - 1.0)
     _grow(state, levels.astype(np.uint8), inside)
     labels, _ = label(state == _FREE, structure=_BOX)
+    touched = binary_dilation(state == _TAKEN, _BOX if inside else None)
     for number, box in enumerate(find_objects(labels), 1):
+        if not (touched[box] & (labels[box] == number)).any():
+            continue  # a part of its own, or a cavity
         places = np.argwhere(labels[box] == number) + [side.start for side in box]
         yield Leftover(float(own[tuple(places.T)].max()), inside, places)
 
 
 def _undo(values: FloatArray, found: Leftover, strength: float) -> None:
-    """Turn a leftover and what is next to it to the other side, if a ring less is what comes of it.
+    """Turn a leftover to the other side, if a ring less is what comes of it.
 
-    The change is two voxels thick: a mesh whose edges are longer than a voxel has to see it.
+    What is next to it goes as well: a mesh whose edges are longer than a voxel has to see it.
     """
     low = np.maximum(found.places.min(axis=0) - _AROUND, 0)
     high = found.places.max(axis=0) + _AROUND + 1
-    box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-    here = values[box]
+    here = values[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
+    own = here > 0.0 if found.inside else here <= 0.0
     changed = np.zeros(here.shape, np.bool_)
     changed[tuple((found.places - low).T)] = True
-    own = here > 0.0 if found.inside else here <= 0.0
     changed = binary_dilation(changed, _BOX) & own
-    before = here.copy()
     after = np.where(changed, -strength if found.inside else strength, here)
-    if euler_number(after > 0.0) <= euler_number(before > 0.0):
+    if euler_number(after > 0.0) <= euler_number(here > 0.0):
         return
-    pieces = _pieces(values)
-    values[box] = after
+    before, pieces = here.copy(), _pieces(values)
+    here[:] = after
     if _pieces(values) != pieces:
-        values[box] = before
+        here[:] = before
 
 
 def _pieces(values: FloatArray) -> tuple[int, int]:
