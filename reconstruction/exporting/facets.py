@@ -22,6 +22,7 @@ MOST_FACETS = 12_000
 _FIRST_MM = 1e-4  # of the size: the first tolerance tried
 _COARSER = 1.5
 _VOLUME_LOST = 0.01  # of the volume: a mesh thinned farther is not the same part
+_SLIVER = 1e-6  # of the volume: a part of less was pinched off by thinning, and is no solid
 _MOST_TRIES = 24
 
 
@@ -45,7 +46,8 @@ def thinned(mesh: Mesh, *, most: int = MOST_FACETS) -> Mesh:
             break
         best = found
         tolerance *= _COARSER
-    return _refilled(mesh_of(best), volume)
+    whole = [each for each in best.decompose() if abs(each.volume()) > _SLIVER * abs(volume)]
+    return _refilled(mesh_of(manifold3d.Manifold.compose(whole)), volume)
 
 
 def _refilled(mesh: Mesh, volume_mm3: float) -> Mesh:
