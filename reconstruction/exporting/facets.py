@@ -46,8 +46,20 @@ def thinned(mesh: Mesh, *, most: int = MOST_FACETS) -> Mesh:
             break
         best = found
         tolerance *= _COARSER
-    whole = [each for each in best.decompose() if abs(each.volume()) > _SLIVER * abs(volume)]
-    return _refilled(mesh_of(manifold3d.Manifold.compose(whole)), volume)
+    return _refilled(_without_slivers(mesh_of(best), volume), volume)
+
+
+def _without_slivers(mesh: Mesh, volume_mm3: float) -> Mesh:
+    """Without the parts that enclose next to nothing, and are not the only one."""
+    corners = mesh.vertices_mm[mesh.faces]
+    sixths = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+    parts = _components(mesh.faces)
+    whole = [each for each in parts if abs(sixths[each].sum()) / 6.0 > _SLIVER * abs(volume_mm3)]
+    if len(whole) in (0, len(parts)):
+        return mesh
+    used, faces = np.unique(mesh.faces[np.sort(np.concatenate(whole))], return_inverse=True)
+    synthetic = mesh.synthetic[used]
+    return Mesh(mesh.vertices_mm[used], faces.reshape(-1, 3), synthetic)
 
 
 def _refilled(mesh: Mesh, volume_mm3: float) -> Mesh:
