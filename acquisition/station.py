@@ -283,7 +283,7 @@ class CalibrationSettings:
 class FieldOfView:
     """Where the sensor measures, as its data sheet draws it: a trapezium in the sheet of light."""
 
-    near_mm: Annotated[float, Key("the sensor's z where it begins to measure")]
+    near_mm: Annotated[float, Key("the sensor's z where it begins to measure", at_least=0.0)]
     far_mm: Annotated[float, Key("the sensor's z where it ends")]
     near_width_mm: Annotated[float, Key("width there, half of it on either side", above=0.0)]
     far_width_mm: Annotated[float, Key("width at its end", above=0.0)]

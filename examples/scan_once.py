@@ -20,4 +20,6 @@ def scan_once(station_file: str, plan_file: str, out: str) -> None:
 
 
 if __name__ == "__main__":
-    scan_once(*sys.argv[1:4])
+    if len(sys.argv) != 4:
+        sys.exit(__doc__)
+    scan_once(*sys.argv[1:])

@@ -8,6 +8,7 @@ cable, which is put back by itself (``away-ms`` of ``--faults``).
 from __future__ import annotations
 
 import argparse
+import fcntl
 import json
 import math
 import os
@@ -15,7 +16,8 @@ import random
 import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -51,6 +53,11 @@ from sim.witness import WitnessLog
 
 _DONE, _FAILED, _BAD_USAGE = 0, 1, 2
 _TURNING_DEG_S = 60.0  # of a plan with --continuous
+_STEADY = {  # who can be measured while it turns, or measures so
+    "cut": (Cut.RINGS.value,),
+    "profiler": (ProfilerFamily.BAUMER_OX.value, ProfilerFamily.RIFTEK.value),
+    "table": (TableFamily.GRBL.value, TableFamily.GRBLHAL.value),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +80,11 @@ def main(words: Sequence[str] | None = None) -> int:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, ending.ask)
     try:
-        with TemporaryDirectory(prefix="loftscan-sim-") as folder, vanishing(Path(folder)):
+        with (
+            TemporaryDirectory(prefix="loftscan-sim-") as folder,
+            vanishing(Path(folder)),
+            _claimed((wanted.out or Path(folder)).resolve()),
+        ):
             _serve(wanted, Path(folder), ending)
     except ValueError as wrong:
         sys.stderr.write(f"sim: {wrong}\n")
@@ -86,6 +97,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
 def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
     """Build the station, put it on wires named in a folder, write the files, and serve."""
+    _check_continuous(wanted)
     faults, part = parse_faults(wanted.faults), find_part(wanted.part)
     layout = Layout(
         seed=wanted.seed,
@@ -122,6 +134,16 @@ def _serve(wanted: argparse.Namespace, folder: Path, ending: Ending) -> None:
             server.run(ending)
 
 
+def _check_continuous(wanted: argparse.Namespace) -> None:
+    """Refuse a plan of steady turning where the simulated devices, or the slices, are others'."""
+    for name, able in _STEADY.items():
+        if wanted.continuous and getattr(wanted, name) not in able:
+            raise ValueError(
+                f"--continuous: not with --{name} {getattr(wanted, name)}; use --{name}"
+                f" {' or '.join(able)}, or leave it out"
+            )
+
+
 def _plan(wanted: argparse.Namespace, layout: Layout, part: Part) -> str:
     if not wanted.continuous:
         return plan_toml(layout, part, rings=wanted.rings, stops=wanted.stops or PLAN_STOPS)
@@ -149,11 +171,31 @@ def _laser_of(wanted: argparse.Namespace) -> LaserWiring:
 def _files(wanted: argparse.Namespace, folder: Path) -> _Files:
     """Where everything goes; what an earlier run witnessed there is forgotten."""
     out = (wanted.out or folder).resolve()
-    out.mkdir(parents=True, exist_ok=True)
     witness = (wanted.witness or out / "witness.jsonl").resolve()
     witness.write_bytes(b"")
     station = (wanted.station or out / "station.toml").resolve()
     return _Files(station, out / "plan.toml", out / "truth.ply", witness)
+
+
+@contextmanager
+def _claimed(out: Path) -> Iterator[None]:
+    """Keep a folder to this simulator: its files name this one's ports."""
+    out.mkdir(parents=True, exist_ok=True)
+    descriptor = os.open(out, os.O_RDONLY)
+    try:
+        _lock(descriptor, out)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _lock(descriptor: int, out: Path) -> None:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise ValueError(
+            f"--out: {out}: another simulator serves from there; end it, or name another folder"
+        ) from None
 
 
 def _end_with_stdin(server: Server, ending: Ending, devices: Devices, cabling: Cabling) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import math
 import os
@@ -713,3 +714,34 @@ def test_the_parts_and_the_faults_are_listed(capsys: pytest.CaptureFixture[str])
     listed = capsys.readouterr().out
     for name in (*PARTS, "drop-blocks=N", "silent-relay"):
         assert name in listed
+
+
+@pytest.mark.parametrize(
+    ("other", "fix"),
+    [
+        (("--cut", "meridians"), "--cut rings"),
+        (("--profiler", "hokuyo"), "--profiler baumer_ox or riftek"),
+        (("--table", "zaber"), "--table grbl or grblhal"),
+    ],
+)
+def test_a_plan_of_steady_turning_is_refused_where_nobody_could_follow_it(
+    other: tuple[str, str], fix: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["--continuous", *other]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert said.startswith(f"sim: --continuous: not with {' '.join(other)}; use {fix}")
+
+
+def test_a_folder_that_a_simulator_serves_from_is_left_to_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "station.toml").write_text("of another")
+    holder = os.open(tmp_path, os.O_RDONLY)
+    try:
+        fcntl.flock(holder, fcntl.LOCK_EX)
+        assert main(["--out", str(tmp_path)]) == 2
+    finally:
+        os.close(holder)
+    assert "another simulator serves from there" in capsys.readouterr().err
+    assert (tmp_path / "station.toml").read_text() == "of another"
