@@ -32,6 +32,7 @@ from acquisition.patterns import (
     Reach,
     SliceKind,
     Stripe,
+    must_climb,
     steps_in,
 )
 from acquisition.settings import (
@@ -67,13 +68,7 @@ class Ring:
     ]
 
     def __post_init__(self) -> None:
-        if self.last_mm < self.first_mm:
-            raise ValueError(
-                f"last_mm: {self.last_mm} is below first_mm {self.first_mm}; swap them"
-            )
-
-        if not (self.last_mm - self.first_mm) / self.step_mm < MOST_SLICES:
-            raise ValueError(f"step_mm: {self.step_mm} makes over a million rings; widen it")
+        must_climb(self.first_mm, self.last_mm, self.step_mm, MOST_SLICES)
 
     @property
     def count(self) -> int:

@@ -51,6 +51,11 @@ TAKES_BYTES_S = 0.1
 CHECK_EVERY_S = 0.01
 CONNECT_S = 0.5
 REPORT_AFTER_S = 3.0  # of the slowest wire
+LAPSED = "the lease lapsed"
+HUNG = (
+    "; it hung, or this machine was too busy for it: end other work; slices that were kept are"
+    " safe, go on with --resume"
+)
 LEASE = struct.Struct("<cq")  # b"L", monotonic ns; 0: given back
 MESSAGE_BYTES = 1 << 16
 RESET_ON_CLOSE = struct.pack("ii", 1, 0)  # SO_LINGER
@@ -113,7 +118,7 @@ class Guard:
                     return said
                 late_s = self._late_s()
             if late_s > 0.0 and not self._more():
-                return f"the lease lapsed {1000.0 * late_s:.0f} ms ago"
+                return f"{LAPSED} {1000.0 * late_s:.0f} ms ago"
 
     def _more(self) -> bool:
         """Whether the channel has words that were not heard yet: one may be a renewal."""
@@ -404,16 +409,20 @@ class Wire:
 def sentence(report: Table) -> str:
     """What a person must know, in one line."""
     parts = []
+    at_rest = {device["device"] for device in report["devices"] if device["confirmed"]}
     for device in report["devices"]:
         if device["confirmed"]:
             parts.append(f"{device['device']}: at rest, read back after {device['done_ms']:g} ms")
+        elif f"{device['device']}, reset" in at_rest:
+            parts.append(f"{device['device']}: told, and reset")
         else:
             said = "told" if device["sent_ms"] is not None else "could not be told"
             parts.append(f"{device['device']}: {said}, NOT confirmed: press the emergency stop")
     ended = report["owner_end"]
+    remedy = HUNG if report["why"].startswith(LAPSED) else ""
     return (
         f"loftscan guard: {report['why']}; process {report['owner']} {ended};"
-        f" {'; '.join(parts) or 'no device was handed over'}"
+        f" {'; '.join(parts) or 'no device was handed over'}{remedy}"
     )
 
 

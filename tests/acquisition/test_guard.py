@@ -24,6 +24,7 @@ import pytest
 
 from acquisition.errors import GuardLost
 from acquisition.safety import guard as guard_process
+from acquisition.safety.guard import LAPSED, sentence
 from acquisition.safety.guarding import GuardProcess, first_word_s, guarded
 from acquisition.safety.places import Place, places_of
 from drivers.errors import PortBusy
@@ -195,6 +196,25 @@ def test_a_device_that_does_not_answer_is_reported_with_what_to_do(
     report = json.loads((tmp_path / "report.json").read_text())
     assert not report["devices"][0]["confirmed"]
     assert "lamp: told, NOT confirmed: press the emergency stop" in ran.stderr
+
+
+def report(why: str, *devices: tuple[str, bool]) -> dict[str, object]:
+    told = [{"device": name, "confirmed": sure, "sent_ms": 1.0, "done_ms": 2.0}
+            for name, sure in devices]  # fmt: skip
+    return {"why": why, "owner": 7, "owner_end": "killed", "devices": told}
+
+
+def test_a_lapsed_lease_is_told_with_a_remedy_and_another_end_without() -> None:
+    assert "too busy for it: end other work" in sentence(report(f"{LAPSED} 3 ms ago"))
+    assert "too busy" not in sentence(report("its owner ended"))
+
+
+def test_a_stop_that_a_reset_made_good_calls_for_no_emergency_stop() -> None:
+    said = sentence(report("its owner ended", ("table", False), ("table, reset", True)))
+    assert "table: told, and reset; table, reset: at rest" in said
+    assert "emergency" not in said
+    said = sentence(report("its owner ended", ("table", False), ("table, reset", False)))
+    assert said.count("press the emergency stop") == 2
 
 
 # --- in one process -------------------------------------------------------------------------------

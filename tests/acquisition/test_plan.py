@@ -75,7 +75,7 @@ def test_one_ring_is_a_plan() -> None:
             "step_mm = 0.0",
             "ring.step_mm: 0.0 is out of bounds; write a number above 0",
         ),
-        ("step_mm = 5.0", "step_mm = 1e-300", "ring.step_mm: 1e-300 makes over a million rings"),
+        ("step_mm = 5.0", "step_mm = 1e-300", "ring.step_mm: 1e-300 makes over 1000000 positions"),
         ("step_mm = 5.0", "step = 5.0", "ring.step: the unit is missing; write ring.step_mm"),
         (
             "profiles_per_turn = 4",
