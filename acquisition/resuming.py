@@ -48,8 +48,8 @@ def take_missing(
 
     chosen = NextSlices(plan, folder, interrupted, tell, station.clock) if adaptive else None
     sweeps = scan(
-        station, plan, stop=stop, indices=missing, again=again, chosen=chosen, part=part,
-        progress=progress,
+        station, plan, stop=stop, indices=missing, again=again, chosen=chosen,
+        most=max(plan.most - len(folder.indices()), 0), part=part, progress=progress,
     )  # fmt: skip
     with closing(sweeps):
         if known is not None:

@@ -125,6 +125,7 @@ def scan(
     indices: Collection[int] | None = None,
     again: int | None = None,
     chosen: Callable[[Callable[[float], None]], Iterator[int]] | None = None,
+    most: int | None = None,
     part: PartStands = PartStands.ANYWHERE,
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> Generator[Sweep]:
@@ -139,6 +140,8 @@ def scan(
     chosen
         Of an adaptive plan, instead of `indices`: called with what waits, it gives each index when
         the sweep before has been taken away; nothing moves meanwhile and the laser is off.
+    most
+        How many will be chosen at most, for whoever hears of the progress; the plan's when absent.
     part
         Needed to resume with a software zero: the table is homed where it stands.
 
@@ -162,7 +165,8 @@ def scan(
     run = _Scan(station, plan, stop, part, progress)
     if chosen is not None:
         coming = chain(first, chosen(run.pause))
-        return run.sweeps((target(plan, index) for index in coming), len(first), plan.most, None,
+        slices = plan.most if most is None else most
+        return run.sweeps((target(plan, index) for index in coming), len(first), slices, None,
                           resumed=bool(first))  # fmt: skip
     taken = [target(plan, index) for index in (*first, *wanted)] if wanted else []
     return run.sweeps(

@@ -98,12 +98,14 @@ def test_when_reconstruction_dies_the_scan_goes_on_by_halves_and_can_be_resumed(
     assert "of at most 7 slices are kept" in stderr
     folder = ScanFolder.open(Path("part.scan"))
     assert folder.record().state is State.ABORTED
+    left = 7 - len(folder.indices())
 
     again = start("scan", station, "plan.toml", "--out", "part.scan", "--resume")
     code, said, stderr = ended(again)
     assert (code, stderr) == (0, "")
     assert said.count("reconstruction did not answer within 0.5 s") == 1
     assert "most_slices is 7" in said
+    assert f"slice {left} of {left}," in said
     assert len(folder.indices()) == 7
     assert {each.by for each in choices_in(folder.path)[:-1]} == {ChosenBy.WIDEST.value}
     assert folder.record().state is State.COMPLETE
