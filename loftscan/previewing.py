@@ -147,6 +147,8 @@ def part_surface(path: Path) -> tuple[FloatArray, FloatArray]:
     ValueError
         It is no mesh.
     """
+    if not path.is_file():
+        raise ValueError(f"{path}: there is no such file; check the path")
     try:
         mesh = trimesh.load_mesh(path)
         places_mm, faces = trimesh.sample.sample_surface(mesh, _SAMPLES, seed=1)

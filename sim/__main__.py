@@ -276,7 +276,7 @@ def _parser() -> argparse.ArgumentParser:
     option("--sensor-drift-ppm", type=float, default=0.0, help="how fast its clock is")
     option("--rings", type=_count_from(1), default=PLAN_RINGS, help="slices of plan.toml")
     option("--stops", type=_count_from(3), help="of the table, in each ring")
-    option("--continuous", action="store_true", help="plan.toml turns the table steadily")
+    option("--continuous", action="store_true", help="plan.toml turns steadily; keep --scale 1")
     option("--faults", default="", metavar="NAME,NAME=N", help="what is wrong; --list names all")
     wirings = [each.value for each in LaserWiring]
     option("--laser", choices=wirings, help="what switches it; absent: turck, a hokuyo its own")

@@ -41,7 +41,9 @@ def preview(
         from loftscan.station_files import plan_of, station_of
 
         if (region is None) == (part is None):
-            raise ValueError("preview: what is to be seen? give --region RADIUS,HEIGHT or --part")
+            raise ValueError(
+                "preview: what is to be seen? give either --region RADIUS,HEIGHT or --part MESH"
+            )
         if out is not None and out.suffix != ".png":
             raise ValueError(f"--out {out}: the picture is a .png; name it so")
         settings, wanted = station_of(station), plan_of(plan)

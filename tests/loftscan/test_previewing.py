@@ -110,6 +110,9 @@ def test_the_field_of_view_is_written_and_read_back() -> None:
     assert "# [field_of_view]" in write_station(STATION)
     with pytest.raises(ValueError, match=r"near_mm: 9\.0 is not below far_mm 3\.0; swap them"):
         FieldOfView(near_mm=9.0, far_mm=3.0, near_width_mm=1.0, far_width_mm=1.0)
+    behind = write_station(WATCHED).replace("near_mm = 100.0", "near_mm = -100.0")
+    with pytest.raises(ValueError, match=r"near_mm"):
+        parse_station(behind)
 
 
 @pytest.mark.parametrize("text", ["30", "30,x", "0,10", "nan,10", "30,inf"])
@@ -130,5 +133,8 @@ def test_the_command_tells_and_draws(place: Path) -> None:
     told = json.loads(succeeded(run(*words[:-2], "--part", "part.ply", "--json")).stdout)
     assert 0.5 < told["share"] < 0.9  # neither foot nor top of the vase
     assert np.isclose(sum(told["shares"].values()), 1.0)
-    assert "give --region RADIUS,HEIGHT or --part" in complaint(run(*words[:-2]), 2)
+    either = "give either --region RADIUS,HEIGHT or --part"
+    assert either in complaint(run(*words[:-2]), 2)
+    assert either in complaint(run(*words, "--part", "part.ply"), 2)
+    assert "there is no such file" in complaint(run(*words[:-2], "--part", "none.ply"), 2)
     assert "no mesh" in complaint(run(*words[:-2], "--part", "plan.toml"), 2)
